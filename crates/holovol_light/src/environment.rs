@@ -1,0 +1,183 @@
+use std::f64::consts::{PI, TAU};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use glam::DVec3;
+
+/// Why light could not be loaded or made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum LightError {
+    /// The file could not be opened or read.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file is not a picture that can be read.
+    #[error(
+        "{path}: not a readable environment map: {reason}; expected Radiance .hdr or OpenEXR .exr with R, G, B"
+    )]
+    Decode {
+        /// The file.
+        path: PathBuf,
+        /// What the decoder said.
+        reason: String,
+    },
+    /// The picture's size is not usable.
+    #[error(
+        "{path}: environment map of {width} × {height} pixels: expected at least 1 × 1 and at most 16384 × 8192"
+    )]
+    Size {
+        /// The file.
+        path: PathBuf,
+        /// Pixels across.
+        width: usize,
+        /// Pixels down.
+        height: usize,
+    },
+}
+
+/// Rec. 709 luminance of a linear RGB triple.
+#[inline]
+pub fn luminance(rgb: [f64; 3]) -> f64 {
+    0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2]
+}
+
+/// Linear radiance from every direction, as a latitude–longitude map.
+///
+/// The image centre looks along −z, u grows toward +x, v = 0 is +y:
+/// u = ½ + atan2(x, −z)/2π, v = acos(y)/π. Bilinear between texel centres, wrapping in u,
+/// clamped in v. Texels are finite and ≥ 0 by construction. Cloning is cheap: texels are shared.
+///
+/// Not to be confused with Bevy's `EnvironmentMapLight`, a prefiltered cube map.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EnvironmentMap {
+    width: usize,
+    height: usize,
+    texels: Arc<Vec<[f32; 3]>>,
+    replaced: usize,
+}
+
+impl EnvironmentMap {
+    /// Largest width; the height may be half of it.
+    pub const MAX_WIDTH: usize = 16384;
+
+    /// A map of the same radiance from everywhere.
+    pub fn constant(radiance: [f32; 3]) -> Self {
+        Self::new(1, 1, vec![radiance])
+    }
+
+    /// A map of row-major texels, top row first. Texels that are NaN or negative become 0,
+    /// infinite ones the largest finite number; [`Self::replaced`] counts them.
+    ///
+    /// # Panics
+    /// If `texels.len()` is not `width · height`, or that is 0.
+    pub fn new(width: usize, height: usize, mut texels: Vec<[f32; 3]>) -> Self {
+        assert!(
+            width * height == texels.len() && !texels.is_empty(),
+            "one texel per pixel"
+        );
+        let mut replaced = 0;
+        for texel in &mut texels {
+            if texel.iter().all(|&c| c >= 0.0 && c.is_finite()) {
+                continue;
+            }
+            replaced += 1;
+            *texel = texel.map(|c| if c >= 0.0 { c.min(f32::MAX / 1e6) } else { 0.0 });
+        }
+        Self {
+            width,
+            height,
+            texels: Arc::new(texels),
+            replaced,
+        }
+    }
+
+    /// Reads a Radiance `.hdr` or an OpenEXR `.exr` file.
+    ///
+    /// # Errors
+    /// If the file is missing, damaged, or not such a picture.
+    pub fn load(path: &Path) -> Result<Self, LightError> {
+        let _ = path;
+        todo!()
+    }
+
+    /// Texels across.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Texels down.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Row-major linear RGB, top row first.
+    pub fn texels(&self) -> &[[f32; 3]] {
+        &self.texels
+    }
+
+    /// How many texels were not finite and ≥ 0 and have been replaced.
+    pub fn replaced(&self) -> usize {
+        self.replaced
+    }
+
+    /// The radiance of a constant map.
+    pub fn as_constant(&self) -> Option<[f32; 3]> {
+        let first = self.texels[0];
+        self.texels
+            .iter()
+            .all(|&texel| texel == first)
+            .then_some(first)
+    }
+
+    /// Direction to texture coordinates, in the map's own frame.
+    pub fn uv_from_direction(direction: DVec3) -> [f64; 2] {
+        let y = (direction.y / direction.length()).clamp(-1.0, 1.0);
+        [0.5 + direction.x.atan2(-direction.z) / TAU, y.acos() / PI]
+    }
+
+    /// Texture coordinates to unit direction, in the map's own frame.
+    pub fn direction_from_uv([u, v]: [f64; 2]) -> DVec3 {
+        let (sin_phi, cos_phi) = ((u - 0.5) * TAU).sin_cos();
+        let (sin_theta, cos_theta) = (v * PI).sin_cos();
+        DVec3::new(sin_theta * sin_phi, cos_theta, -sin_theta * cos_phi)
+    }
+
+    /// Texel with u wrapped and v clamped.
+    #[inline]
+    pub fn texel(&self, x: i64, y: i64) -> [f32; 3] {
+        let x = x.rem_euclid(self.width as i64) as usize;
+        let y = y.clamp(0, self.height as i64 - 1) as usize;
+        self.texels[x + self.width * y]
+    }
+
+    /// Bilinear radiance at texture coordinates, in f64.
+    pub fn radiance_at_uv(&self, [u, v]: [f64; 2]) -> [f64; 3] {
+        let (x, y) = (u * self.width as f64 - 0.5, v * self.height as f64 - 0.5);
+        let (x0, y0) = (x.floor(), y.floor());
+        let (fx, fy) = (x - x0, y - y0);
+        let (i, j) = (x0 as i64, y0 as i64);
+        let corners = [
+            self.texel(i, j),
+            self.texel(i + 1, j),
+            self.texel(i, j + 1),
+            self.texel(i + 1, j + 1),
+        ];
+        let weights = [
+            (1.0 - fx) * (1.0 - fy),
+            fx * (1.0 - fy),
+            (1.0 - fx) * fy,
+            fx * fy,
+        ];
+        std::array::from_fn(|c| (0..4).map(|k| weights[k] * f64::from(corners[k][c])).sum())
+    }
+
+    /// Bilinear radiance from a direction of the map's own frame, in f64.
+    pub fn radiance(&self, direction: DVec3) -> [f64; 3] {
+        self.radiance_at_uv(Self::uv_from_direction(direction))
+    }
+}

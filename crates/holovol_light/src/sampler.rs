@@ -1,0 +1,4 @@
+/// TODO
+pub struct AliasEntry;
+/// TODO
+pub struct EnvironmentSampler;

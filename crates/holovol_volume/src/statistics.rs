@@ -1,0 +1,3 @@
+//! TODO
+/// Histogram placeholder.
+pub struct Histogram;
