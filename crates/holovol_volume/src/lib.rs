@@ -15,6 +15,7 @@ mod geometry;
 mod reader;
 mod statistics;
 mod transfer_function;
+mod transfer_function_file;
 mod volume;
 
 pub use cells::{CELL_SIZE, CellRanges};
@@ -22,4 +23,5 @@ pub use geometry::Geometry;
 pub use reader::{Progress, ReadOptions, VolumeError, VolumeReader, open, open_with, readers};
 pub use statistics::Histogram;
 pub use transfer_function::{Material, TransferFunction, TransferFunctionError, TransferPoint};
-pub use volume::{Volume, VoxelKind, Voxels};
+pub use transfer_function_file::{TransferFunctionFile, TransferFunctionFileError};
+pub use volume::{ReplacedVoxels, Volume, VoxelKind, Voxels};
