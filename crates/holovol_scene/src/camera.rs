@@ -25,6 +25,17 @@ impl Camera {
         [right, right.cross(forward), forward]
     }
 
+    /// The left and the right eye: moved by half of `ipd` metres along the camera's right, axes
+    /// parallel.
+    pub fn stereo(&self, ipd: f64) -> [Self; 2] {
+        let [right, _, _] = self.axes();
+        [-0.5, 0.5].map(|side| Self {
+            eye: self.eye + right * (side * ipd),
+            target: self.target + right * (side * ipd),
+            ..*self
+        })
+    }
+
     /// World direction (unit) through image position (x, y) in pixels; (0.5, 0.5) is the centre
     /// of the top left pixel.
     pub fn direction(&self, x: f64, y: f64) -> DVec3 {

@@ -2,13 +2,18 @@
 //!
 //! A [`Scene`] is a volume, a transfer function, light, a camera and an integrator, all in
 //! memory: the GPU kernels and the f64 reference both render it. [`SceneFile`] is its JSON form;
-//! [`load`] reads one with everything it names.
+//! [`load`] reads one with everything it names, and a [`Sequence`] gives the frames of an animated
+//! one.
 
 mod camera;
 mod file;
 
 pub use camera::{Camera, PixelRays};
-pub use file::{SceneError, SceneFile, load};
+pub use file::{
+    AnimationEntry, Background, CameraEntry, EnvironmentEntry, IntegratorEntry, OutputEntry,
+    SceneError, SceneFile, Sequence, StereoEntry, SwitchEntry, ToneMapping, TransferFunctionEntry,
+    VolumeEntry, load,
+};
 
 use glam::{DMat4, DVec3};
 use holovol_light::EnvironmentMap;
