@@ -34,48 +34,45 @@ parse_arguments() {
     done
 }
 
+# Packages to install, filled by `need`.
+packages=()
+
+# need WHY PACKAGE...
+need() {
+    say "missing: ${*:2} ($1)"
+    packages+=("${@:2}")
+}
+
 as_root() {
     if ((EUID == 0)); then
         "$@"
-    elif command -v sudo >/dev/null; then
-        sudo "$@"
     else
-        die "this needs root and there is no sudo; run as root: $*"
+        sudo "$@"
     fi
 }
 
-apt_lists_are_fresh=false
-
-refresh_apt_lists() {
-    if ! $apt_lists_are_fresh; then
-        as_root apt-get update -qq >&2
-        apt_lists_are_fresh=true
-    fi
+# Installs `packages`; never removes a package to make room for another.
+install_packages() {
+    ((${#packages[@]})) || return 0
+    local install=(apt-get install -y --no-install-recommends --no-remove "${packages[@]}")
+    $may_install || die "not installing, as asked; install the above, or leave out --no-install"
+    command -v apt-get >/dev/null ||
+        die "there is no apt-get here; install the like of the above with this system's package manager"
+    ((EUID == 0)) || command -v sudo >/dev/null ||
+        die "installing needs root, and there is no sudo; as root, run: apt-get update && ${install[*]}"
+    say "running ${install[*]}"
+    as_root apt-get update -qq >&2
+    as_root env DEBIAN_FRONTEND=noninteractive "${install[@]}" -qq >&2
+    packages=()
 }
 
-# apt_install WHY PACKAGE...: never removes a package to make room for another.
-apt_install() {
-    local why=$1
-    shift
-    if ! $may_install; then
-        die "missing: $* ($why); install it or leave out --no-install"
-    fi
-    if ! command -v apt-get >/dev/null; then
-        die "missing: $* ($why); there is no apt-get here, install the like of it with this system's package manager"
-    fi
-    say "installing $* ($why)"
-    refresh_apt_lists
-    as_root env DEBIAN_FRONTEND=noninteractive \
-        apt-get install -y -qq --no-install-recommends --no-remove "$@" >&2
+apt_offers() {
+    command -v apt-cache >/dev/null && apt-cache policy "$1" 2>/dev/null | grep -q 'Candidate: [^(]'
 }
 
-apt_knows() {
-    command -v apt-cache >/dev/null && apt-cache show "$1" >/dev/null 2>&1
-}
-
-ensure_compiler() {
-    command -v cc >/dev/null && command -v c++ >/dev/null && return
-    apt_install "C and C++ compiler: Rust links with it, the FLIP measure is C++" g++ libc6-dev
+need_compiler() {
+    { command -v cc && command -v c++; } >/dev/null ||
+        need "C and C++ compiler: Rust links with it, the FLIP measure is C++" g++ libc6-dev
 }
 
 # True when `cargo` here is the pinned toolchain's, or one at least as new.
@@ -85,42 +82,42 @@ cargo_is_new_enough() {
     [[ -n $have ]] && printf '%s\n%s\n' "$toolchain" "$have" | sort -VC
 }
 
-install_rustup() {
-    $may_install || die "missing: Rust $toolchain; see https://rustup.rs, or leave out --no-install"
-    # Debian 13 and Ubuntu 24.04 package rustup. It refuses to stand beside a packaged cargo, which we keep.
-    if ! command -v cargo >/dev/null && command -v apt-get >/dev/null; then
-        refresh_apt_lists
-        if apt_knows rustup; then
-            apt_install "Rust $toolchain through rustup" rustup
-            return
-        fi
-    fi
-    if ! command -v curl >/dev/null; then
-        apt_install "fetches the Rust installer" curl ca-certificates
-    fi
-    say "installing rustup from https://rustup.rs into ${CARGO_HOME:-$HOME/.cargo} (Rust $toolchain)"
-    local installer
-    installer=$(mktemp)
-    curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs -o "$installer" ||
-        die "cannot fetch the Rust installer; install Rust $toolchain by hand (https://rustup.rs), then run this again"
-    sh "$installer" -y --no-modify-path --profile minimal --default-toolchain none >&2
-    rm -f "$installer"
-}
-
-ensure_rust() {
+# Finds cargo where rustup puts it, though this shell's PATH may not have it yet.
+find_cargo() {
     cargo_is_new_enough && return
     local bin=${CARGO_HOME:-$HOME/.cargo}/bin
-    if [[ -x $bin/cargo ]]; then
-        export PATH=$bin:$PATH
-        hash -r
-        cargo_is_new_enough && return
-    fi
+    [[ -x $bin/cargo ]] || return
+    export PATH=$bin:$PATH
+    hash -r
+    cargo_is_new_enough
+}
+
+# Debian 13 and Ubuntu 24.04 package rustup; not beside a packaged cargo, which stays.
+# Elsewhere rustup's own installer is fetched.
+need_rust() {
+    find_cargo || command -v rustup >/dev/null || {
+        if ! command -v cargo >/dev/null && apt_offers rustup; then
+            need "Rust $toolchain comes through it" rustup
+        elif ! command -v curl >/dev/null; then
+            need "fetches the Rust installer" curl ca-certificates
+        fi
+    }
+}
+
+install_rust() {
+    find_cargo && return
+    $may_install || die "missing: Rust $toolchain; see https://rustup.rs, or leave out --no-install"
     if ! command -v rustup >/dev/null; then
-        install_rustup
-        export PATH=$bin:$PATH
+        say "installing rustup from https://rustup.rs into ${CARGO_HOME:-$HOME/.cargo}"
+        local installer
+        installer=$(mktemp)
+        curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs -o "$installer" ||
+            die "cannot fetch the Rust installer; install Rust $toolchain by hand (https://rustup.rs), then run this again"
+        sh "$installer" -y --no-modify-path --profile minimal --default-toolchain none >&2
+        rm -f "$installer"
+        export PATH=${CARGO_HOME:-$HOME/.cargo}/bin:$PATH
         hash -r
     fi
-    $may_install || die "missing: Rust $toolchain; run: rustup toolchain install $toolchain"
     say "installing the Rust toolchain $toolchain"
     rustup toolchain install "$toolchain" --profile minimal --component rustfmt --component clippy >&2 ||
         die "rustup cannot install Rust $toolchain; is the network there?"
@@ -140,21 +137,19 @@ has_gpu() {
 
 # A machine with a GPU and any driver is left alone; another gets Mesa, whose llvmpipe runs on the CPU.
 # Seen working with our kernels: Mesa 22.3 (Debian 12's own) and 25.0 (its backports).
-ensure_vulkan() {
+need_vulkan() {
     [[ $(uname -s) == Linux ]] || return 0
     local loader=(/usr/lib/libvulkan.so.1 /usr/lib/*/libvulkan.so.1 /usr/lib64/libvulkan.so.1 /usr/local/lib/libvulkan.so.1)
-    local missing=() found=false file
+    local found=false file
     for file in "${loader[@]}"; do
         [[ -e $file ]] && found=true
     done
-    $found || missing+=(libvulkan1)
+    $found || need "Vulkan loader" libvulkan1
     if [[ -z ${VK_DRIVER_FILES:-}${VK_ICD_FILENAMES:-}${VK_ADD_DRIVER_FILES:-} && -z $(vulkan_drivers 'lvp_icd*.json') ]]; then
         if ! has_gpu || [[ -z $(vulkan_drivers '*.json') ]]; then
-            missing+=(mesa-vulkan-drivers)
+            need "Vulkan driver; without a GPU it renders on the CPU" mesa-vulkan-drivers
         fi
     fi
-    ((${#missing[@]} == 0)) ||
-        apt_install "Vulkan; without a GPU Mesa renders on the CPU" "${missing[@]}"
 }
 
 # The workspace's own artifacts go: cargo names them by their path inside the checkout and compares
@@ -179,9 +174,11 @@ use_target_folder() {
 # Everything a build needs; a no-op, without root, where all of it is there.
 prepare() {
     cd "$checkout"
-    ensure_compiler
-    ensure_rust
-    ensure_vulkan
+    need_compiler
+    need_rust
+    need_vulkan
+    install_packages
+    install_rust
     if $install_only; then
         say "everything needed is installed"
         exit 0
