@@ -20,8 +20,11 @@ mod volume;
 
 pub use cells::{CELL_SIZE, CellRanges};
 pub use geometry::Geometry;
-pub use reader::{Progress, ReadOptions, VolumeError, VolumeReader, open, open_with, readers};
+pub use reader::{
+    Input, NiftiReader, NrrdReader, Progress, ReadOptions, VolumeError, VolumeReader, open,
+    open_with, read, readers,
+};
 pub use statistics::Histogram;
 pub use transfer_function::{Material, TransferFunction, TransferFunctionError, TransferPoint};
 pub use transfer_function_file::{TransferFunctionFile, TransferFunctionFileError};
-pub use volume::{ReplacedVoxels, Volume, VoxelKind, Voxels};
+pub use volume::{ReplacedVoxels, SourceFormat, Volume, VoxelKind, Voxels};

@@ -117,7 +117,18 @@ pub struct Volume {
     stored_range: [f64; 2],
     replaced: ReplacedVoxels,
     header_window: Option<[f64; 2]>,
+    source_format: Option<SourceFormat>,
     notices: Vec<String>,
+}
+
+/// What a volume's file was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SourceFormat {
+    /// The format: `NIfTI-1`, `NRRD`, ….
+    pub name: &'static str,
+    /// The type of the numbers in the file, such as `f64`; [`Voxels`] may hold them in a smaller
+    /// one.
+    pub numbers: &'static str,
 }
 
 /// How many voxels were not finite and have been replaced.
@@ -151,7 +162,7 @@ impl Volume {
                 voxels: voxels.len(),
             });
         }
-        if !slope.is_finite() || !intercept.is_finite() {
+        if !slope.is_finite() || slope == 0.0 || !intercept.is_finite() {
             return Err(VolumeError::Scaling { slope, intercept });
         }
         let (stored_range, replaced) = make_finite(&mut voxels, slope < 0.0);
@@ -164,6 +175,7 @@ impl Volume {
             stored_range,
             replaced,
             header_window: None,
+            source_format: None,
             notices: Vec::new(),
         })
     }
@@ -171,6 +183,12 @@ impl Volume {
     /// The same volume with the display window (lo, hi) that its header asks for, in data units.
     pub fn with_header_window(mut self, window: [f64; 2]) -> Self {
         self.header_window = Some(window);
+        self
+    }
+
+    /// The same volume with word of the file it comes from.
+    pub fn with_source_format(mut self, source_format: SourceFormat) -> Self {
+        self.source_format = Some(source_format);
         self
     }
 
@@ -237,6 +255,11 @@ impl Volume {
     /// The display window that the file's header asks for, in data units.
     pub fn header_window(&self) -> Option<[f64; 2]> {
         self.header_window
+    }
+
+    /// The format and number type of the file, if the volume comes from one.
+    pub fn source_format(&self) -> Option<SourceFormat> {
+        self.source_format
     }
 
     /// Remarks for the user, from reading the file.

@@ -1,0 +1,304 @@
+use std::collections::TryReserveError;
+use std::io::Read;
+
+use bytemuck::{Pod, Zeroable};
+
+use super::numbers::{NumberType, WideNumber, smallest_kind};
+use super::{Input, Progress, ReadOptions};
+use crate::{VolumeError, VoxelKind, Voxels};
+
+/// Voxels are read in pieces of this many bytes: memory grows with what arrives.
+const CHUNK_BYTES: usize = 1 << 20;
+
+/// Progress is told after this many bytes.
+const PROGRESS_BYTES: u64 = 4 << 20;
+
+/// How the voxels of a file are written.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Layout {
+    pub number: NumberType,
+    pub big_endian: bool,
+    /// Along x, y, z; none of them 0.
+    pub dims: [u32; 3],
+}
+
+impl Layout {
+    /// Bytes of voxels, if a machine can count them.
+    pub fn voxel_bytes(&self) -> Option<u64> {
+        let count = self
+            .dims
+            .iter()
+            .try_fold(1u64, |product, &n| product.checked_mul(n.into()))?;
+        // Wide numbers may need a second buffer of f32, so stay clear of the address space's end.
+        count
+            .checked_mul(8)
+            .filter(|&bytes| bytes <= isize::MAX as u64)?;
+        count.checked_mul(self.number.bytes() as u64)
+    }
+}
+
+/// Voxels and remarks on what reading them cost.
+pub(super) struct Decoded {
+    pub voxels: Voxels,
+    pub notices: Vec<String>,
+}
+
+/// Reads voxels into the smallest type that holds them exactly, f32 where none does.
+///
+/// Peak memory is at most 1.5 × the result, plus a megabyte.
+pub(super) fn read_voxels(
+    input: &mut Input<'_>,
+    layout: &Layout,
+    options: &ReadOptions,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<Decoded, VolumeError> {
+    let too_large = |bytes, limit: String| VolumeError::TooLarge {
+        path: input.path().into(),
+        bytes,
+        limit,
+    };
+    let bytes = layout
+        .voxel_bytes()
+        .ok_or_else(|| too_large(u64::MAX, "the address space".into()))?;
+    if let Some(limit) = options.max_voxel_bytes.filter(|&limit| bytes > limit) {
+        return Err(too_large(bytes, format!("the limit of {limit}")));
+    }
+    if let Some(available) = input.at_most().filter(|&available| available < bytes) {
+        return Err(VolumeError::Truncated {
+            path: input.path().into(),
+            expected: bytes,
+            available,
+        });
+    }
+    let mut reading = Reading {
+        total: (bytes / layout.number.bytes() as u64) as usize,
+        total_bytes: bytes,
+        done_bytes: 0,
+        told_bytes: 0,
+        // What a regular file really holds can be reserved at once.
+        reserve_all: input.exact_length().is_some(),
+        swap: layout.big_endian != cfg!(target_endian = "big"),
+        input,
+        progress,
+    };
+    let mut notices = Vec::new();
+    let voxels = match layout.number {
+        NumberType::U8 => Voxels::U8(reading.same_type(|n: u8| n)?),
+        NumberType::I8 => Voxels::I8(reading.same_type(|n: i8| n)?),
+        NumberType::U16 => Voxels::U16(reading.same_type(u16::swap_bytes)?),
+        NumberType::I16 => Voxels::I16(reading.same_type(i16::swap_bytes)?),
+        NumberType::U32 => reading.narrowed::<u32>(layout.number, &mut notices)?,
+        NumberType::I32 => reading.narrowed::<i32>(layout.number, &mut notices)?,
+        NumberType::U64 => reading.narrowed::<u64>(layout.number, &mut notices)?,
+        NumberType::I64 => reading.narrowed::<i64>(layout.number, &mut notices)?,
+        NumberType::F32 => reading.narrowed::<f32>(layout.number, &mut notices)?,
+        NumberType::F64 => reading.narrowed::<f64>(layout.number, &mut notices)?,
+    };
+    Ok(Decoded { voxels, notices })
+}
+
+/// Reads to the end of the input to see a gzip stream's check sum compared, if the end is near.
+///
+/// Returns a notice if the file goes on.
+pub(super) fn check_end(input: &mut Input<'_>) -> Result<Option<String>, VolumeError> {
+    let mut rest = [0; 4096];
+    match input.read(&mut rest) {
+        Ok(0) => Ok(None),
+        Ok(_) => Ok(Some(
+            "the file goes on after its last voxel; what follows is ignored".into(),
+        )),
+        // What follows a complete gzip member is no gzip member: padding, say.
+        Err(error) if error.to_string().contains("invalid gzip header") => Ok(Some(
+            "something that isn't gzip follows the voxels and is ignored".into(),
+        )),
+        Err(error) => Err(VolumeError::decoding(input.path(), error)),
+    }
+}
+
+struct Reading<'a, 'b> {
+    input: &'a mut Input<'b>,
+    progress: &'a mut dyn FnMut(Progress),
+    /// Numbers in all.
+    total: usize,
+    total_bytes: u64,
+    done_bytes: u64,
+    told_bytes: u64,
+    reserve_all: bool,
+    swap: bool,
+}
+
+impl Reading<'_, '_> {
+    /// Fills a piece of the voxels, in the machine's byte order after `swap_bytes`.
+    fn fill<T: Pod>(
+        &mut self,
+        piece: &mut [T],
+        swap_bytes: impl Fn(T) -> T,
+    ) -> Result<(), VolumeError> {
+        let mut rest: &mut [u8] = bytemuck::cast_slice_mut(piece);
+        while !rest.is_empty() {
+            match self.input.read(rest) {
+                Ok(0) => return Err(self.truncated()),
+                Ok(bytes) => {
+                    self.done_bytes += bytes as u64;
+                    rest = rest.get_mut(bytes..).unwrap_or_default();
+                }
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+                Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => {
+                    return Err(self.truncated());
+                }
+                Err(error) => return Err(VolumeError::decoding(self.input.path(), error)),
+            }
+        }
+        if self.swap && size_of::<T>() > 1 {
+            for number in piece.iter_mut() {
+                *number = swap_bytes(*number);
+            }
+        }
+        if self.done_bytes - self.told_bytes >= PROGRESS_BYTES
+            || self.done_bytes == self.total_bytes
+        {
+            self.told_bytes = self.done_bytes;
+            (self.progress)(Progress {
+                bytes: self.done_bytes,
+                total_bytes: self.total_bytes,
+            });
+        }
+        Ok(())
+    }
+
+    fn truncated(&self) -> VolumeError {
+        VolumeError::Truncated {
+            path: self.input.path().into(),
+            expected: self.total_bytes,
+            available: self.done_bytes,
+        }
+    }
+
+    /// Makes room for `more` numbers: at least doubles, never exceeds the total.
+    fn reserve<T>(&self, numbers: &mut Vec<T>, more: usize) -> Result<(), VolumeError> {
+        let done = numbers.len();
+        if numbers.capacity() - done >= more {
+            return Ok(());
+        }
+        let room = if self.reserve_all {
+            self.total - done
+        } else {
+            more.max(done).min(self.total - done)
+        };
+        numbers
+            .try_reserve_exact(room)
+            .map_err(|_: TryReserveError| VolumeError::TooLarge {
+                path: self.input.path().into(),
+                bytes: self.total_bytes,
+                limit: "the memory that is free".into(),
+            })
+    }
+
+    fn same_type<T: Pod + Zeroable>(
+        &mut self,
+        swap_bytes: impl Fn(T) -> T,
+    ) -> Result<Vec<T>, VolumeError> {
+        let mut numbers = Vec::new();
+        while numbers.len() < self.total {
+            let done = numbers.len();
+            let piece = (self.total - done).min(CHUNK_BYTES / size_of::<T>());
+            self.reserve(&mut numbers, piece)?;
+            numbers.resize(done + piece, T::zeroed());
+            self.fill(numbers.get_mut(done..).unwrap_or_default(), &swap_bytes)?;
+        }
+        Ok(numbers)
+    }
+
+    fn narrowed<T: WideNumber>(
+        &mut self,
+        number: NumberType,
+        notices: &mut Vec<String>,
+    ) -> Result<Voxels, VolumeError> {
+        let mut voxels = Voxels::U8(Vec::new());
+        let mut integers = (i32::MAX, i32::MIN);
+        let (mut rounded, mut largest_error) = (0u64, 0.0f64);
+        let mut chunk: Vec<T> = Vec::new();
+        while voxels.len() < self.total {
+            let piece = (self.total - voxels.len()).min(CHUNK_BYTES / size_of::<T>());
+            chunk.resize(piece, T::zeroed());
+            self.fill(&mut chunk, T::swapped)?;
+
+            if voxels.kind() != VoxelKind::F32 {
+                let range = chunk.iter().try_fold(integers, |(low, high), number| {
+                    number.small_integer().map(|n| (low.min(n), high.max(n)))
+                });
+                let kind = range.map_or(VoxelKind::F32, |(low, high)| smallest_kind(low, high));
+                integers = range.unwrap_or(integers);
+                if kind != voxels.kind() {
+                    voxels = self.widened(&voxels, kind, piece)?;
+                }
+            }
+            let integer = |number: &T| number.small_integer().unwrap_or(0);
+            match &mut voxels {
+                Voxels::U8(v) => {
+                    self.reserve(v, piece)?;
+                    v.extend(chunk.iter().map(|n| integer(n) as u8));
+                }
+                Voxels::I8(v) => {
+                    self.reserve(v, piece)?;
+                    v.extend(chunk.iter().map(|n| integer(n) as i8));
+                }
+                Voxels::U16(v) => {
+                    self.reserve(v, piece)?;
+                    v.extend(chunk.iter().map(|n| integer(n) as u16));
+                }
+                Voxels::I16(v) => {
+                    self.reserve(v, piece)?;
+                    v.extend(chunk.iter().map(|n| integer(n) as i16));
+                }
+                Voxels::F32(v) => {
+                    self.reserve(v, piece)?;
+                    v.extend(chunk.iter().map(|n| {
+                        let (nearest, error) = n.to_f32();
+                        rounded += u64::from(error > 0.0);
+                        largest_error = largest_error.max(error);
+                        nearest
+                    }));
+                }
+            }
+        }
+        if rounded > 0 {
+            notices.push(format!(
+                "{} values are kept as f32: {rounded} of {} are rounded, by at most {largest_error:.3e}",
+                number.name(),
+                self.total
+            ));
+        }
+        Ok(voxels)
+    }
+
+    /// The voxels so far in a wider type that holds them exactly, with room for more.
+    fn widened(
+        &self,
+        voxels: &Voxels,
+        kind: VoxelKind,
+        more: usize,
+    ) -> Result<Voxels, VolumeError> {
+        macro_rules! widen {
+            ($variant:ident, $number:ty) => {{
+                let mut wider = Vec::new();
+                self.reserve(&mut wider, voxels.len() + more)?;
+                match voxels {
+                    Voxels::U8(v) => wider.extend(v.iter().map(|&n| n as $number)),
+                    Voxels::I8(v) => wider.extend(v.iter().map(|&n| n as $number)),
+                    Voxels::U16(v) => wider.extend(v.iter().map(|&n| n as $number)),
+                    Voxels::I16(v) => wider.extend(v.iter().map(|&n| n as $number)),
+                    Voxels::F32(v) => wider.extend(v.iter().map(|&n| n as $number)),
+                }
+                Voxels::$variant(wider)
+            }};
+        }
+        Ok(match kind {
+            VoxelKind::U8 => widen!(U8, u8),
+            VoxelKind::I8 => widen!(I8, i8),
+            VoxelKind::U16 => widen!(U16, u16),
+            VoxelKind::I16 => widen!(I16, i16),
+            VoxelKind::F32 => widen!(F32, f32),
+        })
+    }
+}

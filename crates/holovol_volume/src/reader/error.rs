@@ -1,0 +1,146 @@
+use std::path::{Path, PathBuf};
+
+use super::supported_formats;
+
+/// Why a volume could not be read or made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum VolumeError {
+    /// The file could not be opened or read.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A folder came where a file was expected.
+    #[error("{}: this is a folder; name a file in it ({})", path.display(), supported_formats())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// No reader knows the file, by content or by name.
+    #[error("{}: {found}; expected one of these formats: {}", path.display(), supported_formats())]
+    UnknownFormat {
+        /// The file.
+        path: PathBuf,
+        /// What the file looks like.
+        found: String,
+    },
+    /// A header field can't be right.
+    #[error("{}: {format} field `{field}` is {found}, expected {expected}", path.display())]
+    Field {
+        /// The file.
+        path: PathBuf,
+        /// The format.
+        format: &'static str,
+        /// The field, as the format's own documentation calls it.
+        field: String,
+        /// What is there.
+        found: String,
+        /// What should be there, and the way out if there is one.
+        expected: String,
+    },
+    /// The file is fine, but this part of the format can't be read.
+    #[error("{}: {what}; {way_out}", path.display())]
+    Unsupported {
+        /// The file.
+        path: PathBuf,
+        /// What can't be read.
+        what: String,
+        /// What to do about it.
+        way_out: String,
+    },
+    /// A header names a data file that can't be opened.
+    #[error(
+        "{}: its data file {} can't be read ({source}); put it there, or correct `data file` in the header",
+        header.display(), data.display()
+    )]
+    DataFile {
+        /// The header.
+        header: PathBuf,
+        /// The data file it names.
+        data: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file ends before its header does.
+    #[error("{}: the file ends within its {format} header: it is truncated; get a complete copy", path.display())]
+    TruncatedHeader {
+        /// The file.
+        path: PathBuf,
+        /// The format.
+        format: &'static str,
+    },
+    /// Fewer voxels than the header says.
+    #[error(
+        "{}: the header promises {expected} bytes of voxels, but there are at most {available}: \
+         the file is truncated or its header is wrong; get a complete copy",
+        path.display()
+    )]
+    Truncated {
+        /// The file.
+        path: PathBuf,
+        /// Bytes of voxels that the header promises.
+        expected: u64,
+        /// Upper bound of the bytes that are there.
+        available: u64,
+    },
+    /// The compressed or textual voxels can't be decoded.
+    #[error("{}: the voxels can't be decoded ({source}): the file is damaged; get a good copy", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        source: std::io::Error,
+    },
+    /// More voxels than allowed or than memory can hold.
+    #[error("{}: {bytes} bytes of voxels are more than {limit}; use a smaller or downsampled volume", path.display())]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+        /// Bytes of voxels.
+        bytes: u64,
+        /// What they exceed.
+        limit: String,
+    },
+    /// The number of voxels does not fit the dimensions.
+    #[error("dimensions {dims:?} do not go with {voxels} voxels")]
+    Dimensions {
+        /// Dimensions along x, y, z.
+        dims: [u64; 3],
+        /// Voxels that came.
+        voxels: usize,
+    },
+    /// Slope or intercept is not finite.
+    #[error("values are scaled by slope {slope} and intercept {intercept}, which must be finite")]
+    Scaling {
+        /// Slope.
+        slope: f64,
+        /// Intercept.
+        intercept: f64,
+    },
+}
+
+impl VolumeError {
+    pub(super) fn io(path: &Path, source: std::io::Error) -> Self {
+        Self::Io {
+            path: path.into(),
+            source,
+        }
+    }
+
+    /// Sorts an error from a decoder: damaged content, or the system's own.
+    pub(super) fn decoding(path: &Path, source: std::io::Error) -> Self {
+        use std::io::ErrorKind::{InvalidData, InvalidInput, UnexpectedEof};
+        if matches!(source.kind(), InvalidData | InvalidInput | UnexpectedEof) {
+            Self::Damaged {
+                path: path.into(),
+                source,
+            }
+        } else {
+            Self::io(path, source)
+        }
+    }
+}
