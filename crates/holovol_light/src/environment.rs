@@ -1,4 +1,9 @@
+mod openexr;
+mod radiance;
+
 use std::f64::consts::{PI, TAU};
+use std::fs::File;
+use std::io::{BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -9,7 +14,7 @@ use glam::DVec3;
 #[non_exhaustive]
 pub enum LightError {
     /// The file could not be opened or read.
-    #[error("{path}: {source}")]
+    #[error("{path}: cannot read the environment map: {source}")]
     Io {
         /// The file.
         path: PathBuf,
@@ -38,6 +43,58 @@ pub enum LightError {
         /// Pixels down.
         height: usize,
     },
+}
+
+/// Why a decoder gave up; [`EnvironmentMap::load`] adds the file.
+#[derive(Debug)]
+enum DecodeError {
+    Size(usize, usize),
+    Reason(String),
+}
+
+impl std::fmt::Display for DecodeError {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        match self {
+            Self::Size(width, height) => write!(f, "{width} × {height} pixels"),
+            Self::Reason(reason) => f.write_str(reason),
+        }
+    }
+}
+
+impl From<String> for DecodeError {
+    fn from(reason: String) -> Self {
+        Self::Reason(reason)
+    }
+}
+
+impl From<&str> for DecodeError {
+    fn from(reason: &str) -> Self {
+        Self::Reason(reason.into())
+    }
+}
+
+impl From<std::io::Error> for DecodeError {
+    fn from(error: std::io::Error) -> Self {
+        Self::Reason(match error.kind() {
+            std::io::ErrorKind::UnexpectedEof => "the file breaks off".into(),
+            _ => error.to_string(),
+        })
+    }
+}
+
+impl From<exr::error::Error> for DecodeError {
+    fn from(error: exr::error::Error) -> Self {
+        Self::Reason(error.to_string())
+    }
+}
+
+fn check_size(width: usize, height: usize) -> Result<(), DecodeError> {
+    let allowed = 1..=EnvironmentMap::MAX_WIDTH;
+    if allowed.contains(&width) && (1..=EnvironmentMap::MAX_WIDTH / 2).contains(&height) {
+        Ok(())
+    } else {
+        Err(DecodeError::Size(width, height))
+    }
 }
 
 /// Rec. 709 luminance of a linear RGB triple.
@@ -96,13 +153,44 @@ impl EnvironmentMap {
         }
     }
 
-    /// Reads a Radiance `.hdr` or an OpenEXR `.exr` file.
+    /// Reads a Radiance `.hdr` or an OpenEXR `.exr` file, whichever its first bytes say.
+    ///
+    /// Of an OpenEXR file it takes the first flat layer with R, G and B (half, float or integer);
+    /// a Radiance file's `EXPOSURE` is undone, as its format says.
     ///
     /// # Errors
     /// If the file is missing, damaged, or not such a picture.
     pub fn load(path: &Path) -> Result<Self, LightError> {
-        let _ = path;
-        todo!()
+        let io = |source| LightError::Io {
+            path: path.into(),
+            source,
+        };
+        let mut file = File::open(path).map_err(io)?;
+        let file_len = file.metadata().map_err(io)?.len();
+        let mut magic = Vec::new();
+        (&mut file).take(4).read_to_end(&mut magic).map_err(io)?;
+        file.rewind().map_err(io)?;
+        let reader = BufReader::new(file);
+        let decoded = match magic.as_slice() {
+            [0x76, 0x2f, 0x31, 0x01] => openexr::read(reader, file_len),
+            [b'#', b'?', ..] => radiance::read(reader),
+            _ => Err(format!(
+                "it begins with neither `#?` nor the OpenEXR signature but with {magic:02x?}"
+            )
+            .into()),
+        };
+        let (width, height, texels) = decoded.map_err(|error| match error {
+            DecodeError::Size(width, height) => LightError::Size {
+                path: path.into(),
+                width,
+                height,
+            },
+            DecodeError::Reason(reason) => LightError::Decode {
+                path: path.into(),
+                reason,
+            },
+        })?;
+        Ok(Self::new(width, height, texels))
     }
 
     /// Texels across.
