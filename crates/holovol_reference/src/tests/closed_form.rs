@@ -1,0 +1,168 @@
+use glam::{DMat4, DVec3};
+use holovol_light::EnvironmentMap;
+
+use super::scenes::*;
+
+#[test]
+fn slab_opacity_is_one_minus_transmittance() {
+    for depth in [1e-3, 0.1, 1.0, 4.0] {
+        let mut scene = homogeneous(depth, 0.0);
+        assert_opacity("slab", &film(&scene, 400), -f64::exp_m1(-depth));
+        // Three times as long and seen along another axis.
+        scene.world_from_unit_cube = DMat4::from_translation(DVec3::new(-1.5, 0.0, 0.0))
+            * DMat4::from_scale(DVec3::new(3.0, 0.1, 0.2));
+        scene.camera = beam(DVec3::new(5.0, 0.05, 0.1), DVec3::new(0.0, 0.05, 0.1));
+        assert_opacity("long slab", &film(&scene, 400), -f64::exp_m1(-3.0 * depth));
+    }
+}
+
+#[test]
+fn transmittance_is_that_of_the_integral_over_a_ramp() {
+    // Two voxels: s rises linearly from ¼ to ¾ of the way, σ = 8 s(1 − s)-like by a tent in s.
+    let tent = vec![
+        point(0.0, 0.0, 0.0),
+        point(0.5, 4.0, 0.0),
+        point(1.0, 0.0, 0.0),
+    ];
+    let mut scene = scene(
+        volume([2, 1, 1], |at| if at.x > 0.5 { 1.0 } else { 0.0 }),
+        tent,
+    );
+    scene.camera = beam(DVec3::new(3.0, 0.0, 0.0), DVec3::ZERO);
+    // Half a metre of a tent of height 4: its mean is 2.
+    assert_opacity("ramp", &film(&scene, 400), -f64::exp_m1(-1.0));
+}
+
+#[test]
+fn emission_of_an_absorbing_slab_has_its_closed_form() {
+    for depth in [0.05, 1.0, 5.0] {
+        let mut glowing = point(0.0, depth, 0.0);
+        glowing.emission = [2.0, 0.5, 0.0];
+        let mut scene = scene(volume([1, 1, 1], |_| 0.0), vec![glowing]);
+        scene.environment = uniform_light(3.0);
+        for max_scatters in [Some(0), Some(1), None] {
+            scene.integrator.max_scatters = max_scatters;
+            let opacity = -f64::exp_m1(-depth);
+            let expected = [2.0 * opacity, 0.5 * opacity, 0.0];
+            assert_mean("glowing slab", &film(&scene, 400), expected, 0.0);
+        }
+    }
+}
+
+#[test]
+fn emission_is_collected_at_every_collision_of_the_allowed_paths() {
+    // Deep inside an opaque medium nothing escapes: E (1 + a + … + aⁿ).
+    let albedo = 0.6f64;
+    let mut glowing = point(0.0, 1e4, albedo);
+    glowing.emission = [1.0; 3];
+    let mut scene = scene(volume([1, 1, 1], |_| 0.0), vec![glowing]);
+    scene.camera = beam(DVec3::ZERO, DVec3::new(0.0, 0.0, -1.0));
+    scene.environment = uniform_light(0.0);
+    for n in [0, 1, 2, 5] {
+        scene.integrator.max_scatters = Some(n);
+        let expected = (1.0 - albedo.powi(n as i32 + 1)) / (1.0 - albedo);
+        assert_mean("glowing fog", &film(&scene, 50), [expected; 3], 1e-9);
+    }
+    scene.integrator.max_scatters = None;
+    let expected = [1.0 / (1.0 - albedo); 3];
+    assert_mean(
+        "glowing fog without limit",
+        &film(&scene, 50),
+        expected,
+        1e-9,
+    );
+}
+
+#[test]
+fn thin_medium_scatters_once_by_its_closed_form() {
+    // Uniform light L on a slab so thin that nothing is lost: L · albedo · depth.
+    let mut scene = homogeneous(1e-4, 0.7);
+    scene.world_from_unit_cube = DMat4::from_translation(DVec3::new(-0.5, -0.5, -0.5));
+    scene.environment = uniform_light(2.0);
+    scene.phase_g = 0.6;
+    let film = film(&scene, 4000);
+    // Losses on the way out are below 2e-4.
+    assert_mean("thin slab", &film, [2.0 * 0.7 * 1e-4; 3], 2e-4);
+}
+
+#[test]
+fn white_furnace_gives_back_every_photon() {
+    for (g, depth) in [
+        (0.0, 3.0),
+        (0.9, 8.0),
+        (-0.9, 8.0),
+        (0.999, 20.0),
+        (-0.999, 3.0),
+    ] {
+        let mut scene = scene(
+            volume([6, 5, 7], bump),
+            vec![point(0.0, 0.0, 1.0), point(1.0, depth, 1.0)],
+        );
+        scene.phase_g = g;
+        scene.integrator.max_scatters = None;
+        for [r, green, b, opacity] in film(&scene, 8).means() {
+            for channel in [r, green, b] {
+                assert!(
+                    (channel - opacity).abs() < 1e-9,
+                    "g {g}: {channel} of {opacity}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn opaque_white_furnace_is_exactly_one() {
+    let mut scene = homogeneous(60.0, 1.0);
+    scene.integrator.max_scatters = None;
+    for pixel in film(&scene, 4).means() {
+        assert!(pixel.iter().all(|c| (c - 1.0).abs() < 1e-12), "{pixel:?}");
+    }
+}
+
+#[test]
+fn white_furnace_with_a_matt_surface_is_one_and_with_a_glossy_one_less() {
+    let mut scene = scene(
+        volume([6, 5, 7], bump),
+        vec![point(0.0, 0.0, 1.0), point(1.0, 12.0, 1.0)],
+    );
+    scene.integrator.max_scatters = None;
+    scene.gradient_factor = 3.0;
+    scene.camera.fov_y = 0.4;
+    let matt = film(&scene, 16);
+    for [r, _, _, opacity] in matt.means() {
+        assert!((r - opacity).abs() < 1e-9, "{r} of {opacity}");
+    }
+    let [points] = [scene.transfer_function.points().to_vec()];
+    let glossy = points.into_iter().map(|p| holovol_volume::TransferPoint {
+        specular: 0.9,
+        roughness: 0.7,
+        ..p
+    });
+    scene.transfer_function = transfer_function(glossy.collect());
+    let observed = mean_and_variance(&film(&scene, 64));
+    let (radiance, opacity) = (observed[0], observed[3]);
+    let noise = (radiance.1 + opacity.1).sqrt();
+    assert!(radiance.0 <= opacity.0 + 5.0 * noise, "{observed:?}");
+    assert!(radiance.0 >= 0.5 * opacity.0, "{observed:?}");
+}
+
+#[test]
+fn nothing_of_the_environment_itself_is_seen() {
+    let scene = homogeneous(0.0, 1.0);
+    assert!(film(&scene, 2).means().all(|pixel| pixel == [0.0; 4]));
+}
+
+#[test]
+fn black_environment_leaves_opacity_only() {
+    let mut scene = homogeneous(2.0, 0.9);
+    scene.environment = uniform_light(0.0);
+    let black = film(&scene, 200);
+    assert_opacity("black", &black, -f64::exp_m1(-2.0));
+    assert!(black.means().all(|pixel| pixel[..3] == [0.0; 3]));
+    scene.environment.map = EnvironmentMap::new(2, 2, vec![[0.0, 0.0, 1.0]; 4]);
+    assert!(
+        film(&scene, 4).means().any(|pixel| pixel[2] > 0.0),
+        "blue alone is light"
+    );
+}
