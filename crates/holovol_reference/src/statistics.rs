@@ -12,8 +12,8 @@ use crate::{Film, Image};
 /// Pictures are stored and summed in f32: differences below this share of a value are rounding.
 const ROUNDING: f64 = 1e-5;
 
-/// Blocks that fewer paths than this have met are not normally distributed.
-const MIN_HITS: f64 = 200.0;
+/// Means of blocks with fewer events than this (paths that met the volume) are not normal.
+const MIN_EVENTS: f64 = 200.0;
 
 /// Block means of a picture and their uncertainty.
 #[derive(Clone, Debug)]
@@ -48,7 +48,8 @@ pub struct Agreement {
     pub p_value: f64,
     /// Largest |z| of any block and channel.
     pub max_z: f64,
-    /// Block (column, row) and channel (R, G, B, opacity) it is found at.
+    /// Block (column, row) and channel (R, G, B, opacity) it is found at; a column past the last
+    /// stands for all blocks that were tested together.
     pub worst: ([u32; 2], usize),
     /// Mean of z² over the blocks, per channel: 1 by chance, more where blocks differ.
     pub mean_square_z: [f64; 4],
@@ -250,10 +251,17 @@ impl BlockStatistics {
     pub fn blocks(&self) -> &[Block] {
         &self.blocks
     }
+}
 
-    /// Opacity that too few paths have met for the block's mean to be normal.
-    fn is_sparse(&self, block: &Block) -> bool {
-        block.mean[3] * self.samples * (block.pixels as f64) < MIN_HITS
+/// How many events of the rarer kind the less sampled of two pictures can be expected to have in
+/// a block: paths that met the volume, for opacity also paths that missed it.
+fn rare_events(a: &Block, b: &Block, samples: f64, channel: usize) -> f64 {
+    let [a, b, paths] = [a.mean[3], b.mean[3], samples * a.pixels as f64];
+    let hits = a.max(b) * paths;
+    if channel == 3 {
+        hits.min((1.0 - a.min(b)) * paths)
+    } else {
+        hits
     }
 }
 
@@ -333,58 +341,57 @@ pub fn agreement(a: &BlockStatistics, b: &BlockStatistics) -> Result<Agreement, 
         });
     }
     let across = blocks_across(a.size[0]);
-    let pairs = || a.blocks.iter().zip(&b.blocks);
-    let is_sparse = |x: &Block, y: &Block| a.is_sparse(x) && b.is_sparse(y);
-    let mut tested: Vec<([u32; 2], [Score; 4])> = pairs()
-        .enumerate()
-        .filter(|(_, (x, y))| !is_sparse(x, y))
-        .map(|(index, (x, y))| {
-            let index = index as u32;
-            ([index % across, index / across], difference(x, y))
-        })
-        .collect();
-    let blocks = tested.len();
-    let sparse = || pairs().filter(|(x, y)| is_sparse(x, y));
-    let rest = [
-        merge(sparse().map(|(x, _)| *x)),
-        merge(sparse().map(|(_, y)| *y)),
-    ];
-    if !(a.is_sparse(&rest[0]) && b.is_sparse(&rest[1])) {
-        tested.push(([across, 0], difference(&rest[0], &rest[1])));
-    }
+    let samples = a.samples.min(b.samples);
     let whole = difference(
         &merge(a.blocks.iter().copied()),
         &merge(b.blocks.iter().copied()),
     );
-
     let mut result = Agreement {
         p_value: 1.0,
         max_z: 0.0,
         worst: ([0, 0], 0),
         mean_square_z: [0.0; 4],
         mean_z: whole.map(|score| score.z),
-        blocks,
+        blocks: 0,
     };
-    let (mut p_worst, mut p_all) = (1.0f64, 1.0f64);
+    let (mut p_worst, mut p_all, mut tests) = (1.0f64, 1.0f64, 0.0);
     for c in 0..4 {
+        let mut scores = Vec::new();
+        let (mut rest, mut rest_events) = (Vec::new(), 0.0);
+        for (index, (x, y)) in (0u32..).zip(a.blocks.iter().zip(&b.blocks)) {
+            let events = rare_events(x, y, samples, c);
+            if events >= MIN_EVENTS {
+                scores.push(([index % across, index / across], difference(x, y)[c]));
+            } else {
+                rest.push((*x, *y));
+                rest_events += events;
+            }
+        }
+        result.blocks = result.blocks.max(scores.len());
+        if rest_events >= MIN_EVENTS {
+            let [x, y] = [
+                merge(rest.iter().map(|(x, _)| *x)),
+                merge(rest.iter().map(|(_, y)| *y)),
+            ];
+            scores.push(([across, 0], difference(&x, &y)[c]));
+        }
         let mut sum = 0.0;
-        for (place, scores) in &tested {
-            let Score { p, z } = scores[c];
-            p_worst = p_worst.min(p);
-            sum += z * z;
-            if z.abs() > result.max_z {
-                result.max_z = z.abs();
+        for (place, score) in &scores {
+            p_worst = p_worst.min(score.p);
+            sum += score.z * score.z;
+            if score.z.abs() > result.max_z {
+                result.max_z = score.z.abs();
                 result.worst = (*place, c);
             }
         }
-        if !tested.is_empty() {
-            let n = tested.len() as f64;
+        if !scores.is_empty() {
+            let n = scores.len() as f64;
+            tests += n;
             result.mean_square_z[c] = sum / n;
             p_all = p_all.min(chi_square_p(sum, n));
         }
     }
     let p_mean = whole.iter().fold(1.0f64, |least, score| least.min(score.p));
-    let tests = (4 * tested.len().max(1)) as f64;
     // Bonferroni over blocks and channels, then over the three kinds of test.
     result.p_value = (3.0 * (p_worst * tests).min(4.0 * p_all).min(4.0 * p_mean)).min(1.0);
     Ok(result)
