@@ -36,6 +36,7 @@ parse_arguments() {
 
 # Packages to install, filled by `need`.
 packages=()
+apt_lists_are_fresh=false
 
 # need WHY PACKAGE...
 need() {
@@ -51,6 +52,13 @@ as_root() {
     fi
 }
 
+can_be_root() { ((EUID == 0)) || command -v sudo >/dev/null; }
+
+refresh_apt_lists() {
+    $apt_lists_are_fresh || as_root apt-get update -qq >&2
+    apt_lists_are_fresh=true
+}
+
 # Installs `packages`; never removes a package to make room for another.
 install_packages() {
     ((${#packages[@]})) || return 0
@@ -58,16 +66,21 @@ install_packages() {
     $may_install || die "not installing, as asked; install the above, or leave out --no-install"
     command -v apt-get >/dev/null ||
         die "there is no apt-get here; install the like of the above with this system's package manager"
-    ((EUID == 0)) || command -v sudo >/dev/null ||
+    can_be_root ||
         die "installing needs root, and there is no sudo; as root, run: apt-get update && ${install[*]}"
     say "running ${install[*]}"
-    as_root apt-get update -qq >&2
+    refresh_apt_lists
     as_root env DEBIAN_FRONTEND=noninteractive "${install[@]}" -qq >&2
     packages=()
 }
 
+# Whether apt has this package; of a fresh system only up-to-date lists can tell.
 apt_offers() {
-    command -v apt-cache >/dev/null && apt-cache policy "$1" 2>/dev/null | grep -q 'Candidate: [^(]'
+    command -v apt-cache >/dev/null || return
+    if $may_install && can_be_root; then
+        refresh_apt_lists
+    fi
+    [[ $(apt-cache policy "$1" 2>/dev/null) =~ Candidate:\ [^\(] ]]
 }
 
 need_compiler() {
