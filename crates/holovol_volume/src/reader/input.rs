@@ -2,7 +2,7 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Cursor, Read};
 use std::path::{Path, PathBuf};
 
-use flate2::bufread::MultiGzDecoder;
+use flate2::bufread::GzDecoder;
 
 use crate::VolumeError;
 
@@ -96,7 +96,7 @@ impl<'a> Input<'a> {
 
     /// The unpacked content from here on, whether or not it begins like a gzip stream.
     pub fn gunzip(self) -> Self {
-        let decoder = MultiGzDecoder::new(self.stream);
+        let decoder = GzipMembers(Some(GzDecoder::new(self.stream)));
         Self {
             stream: Box::new(BufReader::with_capacity(BUFFER_BYTES, decoder)),
             at_most: self
@@ -182,5 +182,27 @@ impl BufRead for Input<'_> {
     fn consume(&mut self, bytes: usize) {
         self.stream.consume(bytes);
         self.count(bytes);
+    }
+}
+
+/// Unpacks gzip members up to the end or to something else, which gzip too passes over.
+struct GzipMembers<R>(Option<GzDecoder<R>>);
+
+impl<R: BufRead> Read for GzipMembers<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        while let Some(decoder) = &mut self.0 {
+            let bytes = decoder.read(buffer)?;
+            if bytes > 0 || buffer.is_empty() {
+                return Ok(bytes);
+            }
+            let mut rest = self.0.take().map(GzDecoder::into_inner);
+            if let Some(rest) = &mut rest
+                && rest.fill_buf()?.first() != GZIP_MAGIC.first()
+            {
+                break;
+            }
+            self.0 = rest.map(GzDecoder::new);
+        }
+        Ok(0)
     }
 }

@@ -140,6 +140,3 @@ fn number_type(header: &Header<'_>, path: &std::path::Path) -> Result<NumberType
         }
     })
 }
-
-#[cfg(test)]
-mod tests;

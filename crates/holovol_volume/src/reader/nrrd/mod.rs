@@ -161,6 +161,3 @@ fn skip_line(data: &mut Input<'_>) -> Result<bool, VolumeError> {
         }
     }
 }
-
-#[cfg(test)]
-mod tests;

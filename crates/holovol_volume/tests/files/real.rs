@@ -1,5 +1,5 @@
 //! Reads the real volumes of the shared data set; expected numbers are nibabel's and pynrrd's
-//! (`expected/real_files.py`).
+//! (`../expected/real_files.py`).
 
 use std::path::{Path, PathBuf};
 
@@ -16,7 +16,7 @@ fn shared_volumes() -> Option<PathBuf> {
     Some(folder)
 }
 
-fn numbers(value: &Value) -> Vec<f64> {
+pub fn numbers(value: &Value) -> Vec<f64> {
     let list = value.as_array().expect("expected numbers are a list");
     list.iter().filter_map(Value::as_f64).collect()
 }
@@ -28,7 +28,7 @@ fn close(a: f64, b: f64, relative: f64) -> bool {
 /// Checks one file against what the Python readers say.
 fn check(name: &str) -> Option<Volume> {
     let path = shared_volumes()?.join(name);
-    let facts: Value = serde_json::from_str(include_str!("expected/real_files.json"))
+    let facts: Value = serde_json::from_str(include_str!("../expected/real_files.json"))
         .expect("the expected numbers are JSON");
     let facts = &facts[name];
     let mut last = 0;

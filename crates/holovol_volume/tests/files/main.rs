@@ -1,0 +1,9 @@
+//! Volumes from files: every header feature, real files, and damage.
+
+mod bytes;
+mod damaged;
+mod nifti;
+mod nrrd;
+mod open;
+mod phantoms;
+mod real;

@@ -1,0 +1,128 @@
+//! Finding the format, and what goes wrong around a file rather than in it.
+
+use std::fs;
+use std::path::Path;
+
+use holovol_volume::{ReadOptions, open, open_with};
+
+use crate::bytes::{Nifti, gzip, nrrd, values};
+
+fn message(path: &Path) -> String {
+    match open(path, &mut |_| {}) {
+        Ok(volume) => panic!("read {:?}", volume.dims()),
+        Err(error) => error.to_string(),
+    }
+}
+
+#[test]
+fn content_goes_before_name() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let nifti = Nifti::new(false, false, 2, &[2], &[3u8, 4]).bytes();
+    let raw = nrrd(
+        &["type: uint8", "dimension: 1", "sizes: 2", "encoding: raw"],
+        &[3, 4],
+    );
+    for (name, bytes) in [
+        ("a.nrrd", &nifti),
+        ("b.nii", &raw),
+        ("c", &gzip(&nifti)),
+        ("d.nii", &gzip(&raw)),
+    ] {
+        let path = folder.path().join(name);
+        fs::write(&path, bytes).expect("it can be written");
+        let volume = open(&path, &mut |_| {}).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(values(&volume), [3.0, 4.0], "{name}");
+    }
+}
+
+#[test]
+fn what_is_no_volume_is_told_so() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name);
+    fs::write(path("empty.nii"), b"").expect("it can be written");
+    fs::write(path("text.txt"), b"hello").expect("it can be written");
+    fs::write(path("text.nii"), b"hello").expect("it can be written");
+    fs::write(
+        path("half.nii"),
+        &Nifti::new(false, false, 2, &[2], &[3u8, 4]).bytes()[..100],
+    )
+    .expect("it can be written");
+    for (name, parts) in [
+        ("", ["folder", ".nhdr"]),
+        ("missing.nii", ["missing.nii", "No such file"]),
+        ("empty.nii", ["is empty", ".nii.gz"]),
+        ("text.txt", ["not known", "NRRD (.nrrd"]),
+        ("text.nii", ["`sizeof_hdr`", "348"]),
+        ("half.nii", ["within its NIfTI header", "complete copy"]),
+    ] {
+        let text = message(&path(name));
+        for part in parts {
+            if cfg!(windows) && part == "No such file" {
+                continue;
+            }
+            assert!(text.contains(part), "{text} lacks {part}");
+        }
+    }
+}
+
+#[test]
+fn detached_data_is_found_beside_its_header() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name);
+    let header = |data: &str| {
+        let data = format!("data file: {data}");
+        let lines = [
+            "type: uint8",
+            "dimension: 1",
+            "sizes: 2",
+            "encoding: raw",
+            &data,
+        ];
+        format!("NRRD0004\n{}\n", lines.join("\n"))
+    };
+    fs::create_dir(path("sub")).expect("it can be made");
+    fs::write(path("sub/data.raw"), [8, 9]).expect("it can be written");
+    fs::write(path("a.nhdr"), header("sub/data.raw")).expect("it can be written");
+    let volume = open(&path("a.nhdr"), &mut |_| {}).unwrap_or_else(|error| panic!("{error}"));
+    assert_eq!(values(&volume), [8.0, 9.0]);
+
+    for (data, part) in [("gone.raw", "gone.raw"), ("sub", "not a regular file")] {
+        fs::write(path("a.nhdr"), header(data)).expect("it can be written");
+        let text = message(&path("a.nhdr"));
+        assert!(text.contains("a.nhdr") && text.contains(part), "{text}");
+    }
+    fs::write(path("short.raw"), [8]).expect("it can be written");
+    fs::write(path("a.nhdr"), header("short.raw")).expect("it can be written");
+    let text = message(&path("a.nhdr"));
+    assert!(
+        text.contains("short.raw") && text.contains("2 bytes"),
+        "{text}"
+    );
+}
+
+#[test]
+fn the_limit_on_voxel_bytes_holds() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("a.nii");
+    fs::write(
+        &path,
+        Nifti::new(false, false, 4, &[3], &[1i16, 2, 3]).bytes(),
+    )
+    .expect("written");
+    let read = |limit| {
+        open_with(
+            &path,
+            &ReadOptions::default().with_max_voxel_bytes(limit),
+            &mut |_| {},
+        )
+    };
+    assert!(read(6).is_ok());
+    let text = read(5)
+        .err()
+        .map(|error| error.to_string())
+        .unwrap_or_default();
+    assert!(
+        text.contains("6 bytes") && text.contains("limit of 5"),
+        "{text}"
+    );
+}
