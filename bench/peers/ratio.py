@@ -112,6 +112,11 @@ def commit():
     return result.stdout.strip() or "unknown"
 
 
+def from_checkout(argument):
+    """An absolute path as seen from the checkout: a report names no machine's folders."""
+    return os.path.relpath(argument, HERE.parent.parent) if argument.startswith("/") else argument
+
+
 def parse_arguments():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     target = os.environ.get("CARGO_TARGET_DIR", Path.home() / ".cache/holovol/target")
@@ -128,13 +133,14 @@ def parse_arguments():
 
 def main():
     args = parse_arguments()
+    args.holovol = args.holovol.resolve()
     peer = load_peer()
     if not args.holovol.is_file():
         sys.exit(f"ratio.py: {args.holovol}: no such binary; build it with cargo build --release -p holovol")
     report = {
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "commit": commit(),
-        "command": shlex.join(["bench/peers/ratio.py", *(a for a in sys.argv[1:] if not a.startswith("/"))]),
+        "command": shlex.join(["bench/peers/ratio.py", *map(from_checkout, sys.argv[1:])]),
         "scenes": [measure(peer, scene, args) for scene in args.scenes],
     }
     text = json.dumps(report, indent=2)
