@@ -1,1 +1,72 @@
-//! TODO
+//! The `holovol` command: renders volumes as if they stood in the light of a room.
+//!
+//! `holovol render SCENE.json --out OUT.exr` is its main job; `holovol --help` tells the rest. Each
+//! subcommand is a module here, [`cli`] says what they are asked, [`Exit`] what their exit codes
+//! mean. Standard output holds results only (one line of JSON where a program may read them),
+//! standard error everything for people.
+
+mod backend;
+pub mod cli;
+mod compare;
+mod demo;
+mod failure;
+mod info;
+mod output;
+mod picture;
+mod progress;
+mod render;
+mod thumbnail;
+
+pub use failure::{Exit, Failure};
+
+use std::io::Write;
+use std::process::ExitCode;
+
+use clap::{CommandFactory, Parser};
+
+use cli::{Cli, Command};
+
+/// Runs the command line of this process.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    match run(cli) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("error: {failure}");
+            failure.exit.into()
+        }
+    }
+}
+
+/// Does what a command line asks for.
+///
+/// # Errors
+/// See [`Exit`] for the kinds of failure.
+pub fn run(cli: Cli) -> Result<(), Failure> {
+    match cli.command {
+        Command::Render(args) => render::run(&args),
+        Command::Compare(args) => compare::run(&args),
+        Command::Info(args) => info::run(&args),
+        Command::Demo(args) => demo::run(&args),
+        Command::Completions { shell } => {
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "holovol", &mut script);
+            print_bytes(&script)
+        }
+    }
+}
+
+/// Writes a result to standard output.
+fn print_bytes(bytes: &[u8]) -> Result<(), Failure> {
+    let mut stdout = std::io::stdout().lock();
+    let written = stdout.write_all(bytes).and_then(|()| stdout.flush());
+    written.map_err(|error| Failure::new(Exit::Output, format!("standard output: {error}")))
+}
+
+/// Writes a result to standard output as one line of JSON.
+fn print_json(value: &impl serde::Serialize) -> Result<(), Failure> {
+    let mut line = serde_json::to_string(value)
+        .map_err(|error| Failure::new(Exit::Internal, error.to_string()))?;
+    line.push('\n');
+    print_bytes(line.as_bytes())
+}

@@ -1,2 +1,5 @@
-//! TODO
-fn main() {}
+//! The `holovol` command; all of it is in the library beside.
+
+fn main() -> std::process::ExitCode {
+    holovol::main()
+}

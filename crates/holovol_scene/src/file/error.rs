@@ -98,8 +98,8 @@ pub enum SceneError {
 }
 
 impl SceneError {
-    /// The same error, naming the scene file.
-    pub(super) fn in_file(self, path: &Path) -> Self {
+    /// The same error, naming the scene file, if it does not already.
+    pub fn in_file(self, path: &Path) -> Self {
         match self {
             Self::Io { .. } | Self::TooLarge { .. } | Self::InFile { .. } => self,
             source => Self::InFile {

@@ -1,0 +1,106 @@
+//! `holovol demo`: a phantom in a room, both made here, to see that all works.
+
+mod phantom;
+mod room;
+mod shapes;
+
+use std::time::Instant;
+
+use holovol_scene::{
+    Background, CameraEntry, EnvironmentEntry, IntegratorEntry, OutputEntry, SceneFile, Sequence,
+    ToneMapping, TransferFunctionEntry, VolumeEntry,
+};
+
+use crate::backend::{Device, Goal};
+use crate::cli::{Backend, DemoArgs, DeviceArgs};
+use crate::progress::Bar;
+use crate::{Exit, Failure, output, picture, print_bytes};
+
+pub(crate) fn run(args: &DemoArgs) -> Result<(), Failure> {
+    output::check(&args.out, "png", "--out")?;
+    let started = Instant::now();
+    let device = open(&args.device)?;
+    eprintln!("note: making a head phantom and a room");
+    let volume = phantom::volume()?;
+    let file = scene(args.size);
+    let sequence = Sequence::with_data(&file, volume, room::environment())?;
+    let scene = sequence.frame(0)?;
+
+    let bar = Bar::new("rendering");
+    let goal = Goal::from(args.effort);
+    let traced = device.trace(&scene, 0, goal, &mut |part, spp| {
+        bar.set(part);
+        bar.say(format!("{spp} spp"));
+    })?;
+    drop(bar);
+    let settings = file.output.unwrap_or_default();
+    let picture = picture::develop(&traced.image, &settings, &scene.camera, &scene.environment);
+    output::write_png(&picture, &args.out)?;
+
+    let path = std::path::absolute(&args.out).unwrap_or_else(|_| args.out.clone());
+    let text = format!(
+        "{}\n{} × {} pixels, {} samples per pixel, traced in {:.1} s of {:.1} s on {}\n",
+        path.display(),
+        args.size,
+        args.size,
+        traced.spp,
+        traced.seconds,
+        started.elapsed().as_secs_f64(),
+        device.adapter(),
+    );
+    print_bytes(text.as_bytes())?;
+    if traced.faults.is_empty() {
+        Ok(())
+    } else {
+        Err(Failure::new(Exit::Inexact, traced.faults.join("; ")))
+    }
+}
+
+/// Opens the device; without any adapter the demo goes on on the CPU.
+fn open(args: &DeviceArgs) -> Result<Device, Failure> {
+    match Device::open(args) {
+        Err(failure) if failure.exit == Exit::NoAdapter && args.adapter.is_none() => {
+            eprintln!("note: {failure}; going on with the slow CPU reference");
+            Device::open(&DeviceArgs {
+                backend: Backend::Reference,
+                ..args.clone()
+            })
+        }
+        opened => opened,
+    }
+}
+
+fn scene(size: u32) -> SceneFile {
+    SceneFile {
+        version: SceneFile::VERSION,
+        volume: VolumeEntry {
+            path: "phantom".into(),
+            window: Some([0.0, 1.0]),
+            world_from_unit_cube: None,
+        },
+        transfer_function: TransferFunctionEntry {
+            points: phantom::transfer_function(),
+        },
+        phase_g: 0.0,
+        gradient_factor: 4.0,
+        environment: EnvironmentEntry::from_path("room"),
+        camera: CameraEntry {
+            eye: [0.34, 0.07, 0.62],
+            target: [0.0, -0.008, 0.0],
+            up: [0.0, 1.0, 0.0],
+            fov_y_deg: 23.0,
+            width: size,
+            height: size,
+        },
+        integrator: IntegratorEntry {
+            max_scatters: Some(3),
+        },
+        stereo: None,
+        animation: None,
+        output: Some(OutputEntry {
+            exposure_ev: None,
+            tone_mapping: ToneMapping::Neutral,
+            background: Background::Environment,
+        }),
+    }
+}

@@ -1,0 +1,1 @@
+//! The `holovol` command as its users meet it.
