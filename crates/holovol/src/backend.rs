@@ -15,25 +15,27 @@ pub(crate) enum Device {
     Reference,
 }
 
-/// When to stop tracing.
+/// When to stop tracing: at the first of both.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Goal {
-    /// At this many samples per pixel.
-    Samples(u32),
-    /// After this many seconds.
-    Seconds(f64),
-}
-
-impl Goal {
-    /// Samples per pixel unless the user says otherwise.
-    const DEFAULT_SPP: u32 = 64;
+pub(crate) struct Goal {
+    /// Samples per pixel.
+    pub(crate) spp: u32,
+    pub(crate) seconds: f64,
 }
 
 impl From<EffortArgs> for Goal {
     fn from(args: EffortArgs) -> Self {
+        /// Samples per pixel unless the user says otherwise.
+        const DEFAULT_SPP: u32 = 64;
         match args.seconds {
-            Some(seconds) => Self::Seconds(seconds),
-            None => Self::Samples(args.spp.unwrap_or(Self::DEFAULT_SPP)),
+            Some(seconds) => Self {
+                spp: u32::MAX,
+                seconds,
+            },
+            None => Self {
+                spp: args.spp.unwrap_or(DEFAULT_SPP),
+                seconds: f64::INFINITY,
+            },
         }
     }
 }
@@ -166,18 +168,13 @@ fn pursue(
     loop {
         let elapsed = started.elapsed().as_secs_f64();
         let per_sample = elapsed / done.max(1) as f64;
-        let (part, left) = match goal {
-            Goal::Samples(spp) => {
-                let left = u64::from(spp) - done.min(u64::from(spp));
-                (done as f64 / f64::from(spp), left as f64)
-            }
-            // At least one sample; then as many as fit.
-            Goal::Seconds(_) if done == 0 => (0.0, 1.0),
-            Goal::Seconds(limit) => {
-                let left = ((limit - elapsed) / per_sample.max(1e-9)).floor();
-                (elapsed / limit, left)
-            }
-        };
+        let left = (f64::from(goal.spp) - done as f64).min(if done == 0 {
+            // At least one sample is made.
+            1.0
+        } else {
+            ((goal.seconds - elapsed) / per_sample.max(1e-9)).floor()
+        });
+        let part = (done as f64 / f64::from(goal.spp)).max(elapsed / goal.seconds);
         if done > 0 {
             progress(part, done);
         }
@@ -237,10 +234,14 @@ mod tests {
             std::thread::sleep(std::time::Duration::from_millis(10 * u64::from(samples)));
             Ok(())
         };
-        let (done, seconds) = pursue(Goal::Seconds(0.2), &mut |_, _| {}, slow).unwrap();
+        let within = |seconds| Goal {
+            spp: u32::MAX,
+            seconds,
+        };
+        let (done, seconds) = pursue(within(0.2), &mut |_, _| {}, slow).unwrap();
         assert!((5..=20).contains(&done), "{done} samples");
         assert!(seconds < 0.4, "{seconds} s");
-        let (done, _) = pursue(Goal::Seconds(1e-6), &mut |_, _| {}, slow).unwrap();
+        let (done, _) = pursue(within(1e-6), &mut |_, _| {}, slow).unwrap();
         assert_eq!(done, 1);
     }
 }

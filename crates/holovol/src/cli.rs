@@ -133,7 +133,7 @@ pub struct RenderArgs {
 #[derive(Clone, Copy, Debug, Args)]
 #[group(multiple = false)]
 pub struct EffortArgs {
-    /// Samples per pixel [default: 64]
+    /// Samples per pixel; 64 unless --seconds is given
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub spp: Option<u32>,
     /// Trace each image for this long, loading and compiling not counted
@@ -187,8 +187,8 @@ pub struct InfoArgs {
     /// Print one line of JSON instead of text
     #[arg(long)]
     pub json: bool,
-    /// Also write a picture: middle slices above, maximum projections below; from the front,
-    /// from the volume's right side, from above
+    /// Also write a picture: middle slices above, projections below; seen from the front (+z),
+    /// from the side (+x) and from above (+y)
     #[arg(long, value_name = "OUT.png")]
     pub thumbnail: Option<PathBuf>,
 }
@@ -196,6 +196,8 @@ pub struct InfoArgs {
 /// `holovol demo`
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
+Unless --spp or --seconds is given, tracing ends after 64 samples per pixel or a minute.
+
 Example:
   holovol demo --out demo.png --size 1024 --spp 128")]
 pub struct DemoArgs {
@@ -203,7 +205,7 @@ pub struct DemoArgs {
     #[arg(long, value_name = "OUT.png", default_value = "holovol-demo.png")]
     pub out: PathBuf,
     /// Width and height of the picture in pixels
-    #[arg(long, value_name = "PIXELS", default_value_t = 640, value_parser = clap::value_parser!(u32).range(16..=4096))]
+    #[arg(long, value_name = "PIXELS", default_value_t = 512, value_parser = clap::value_parser!(u32).range(16..=4096))]
     pub size: u32,
     /// How long to trace.
     #[command(flatten)]

@@ -1,4 +1,4 @@
-//! A picture of a volume at a glance: middle slices above, maximum projections below.
+//! A picture of a volume at a glance: middle slices above, projections like radiographs below.
 
 use glam::{DMat4, DVec3};
 use holovol_volume::Volume;
@@ -11,7 +11,7 @@ use crate::picture::encode_srgb;
 const PANEL: usize = 288;
 const GAP: usize = 8;
 /// Steps through the volume for a projection: finer than most volumes' voxels on the panel.
-const STEPS: usize = 320;
+const STEPS: u32 = 320;
 /// Display light behind the panels and behind the volume.
 const FRAME: [u8; 4] = [17, 19, 23, 255];
 const EMPTY: [u8; 4] = [4, 5, 7, 255];
@@ -44,21 +44,30 @@ pub(crate) fn draw(volume: &Volume, world_from_unit_cube: DMat4, window: [f64; 2
 
     for (column, axes) in VIEWS.into_iter().enumerate() {
         for (row, is_projection) in [false, true].into_iter().enumerate() {
-            let panel: Vec<[u8; 4]> = (0..PANEL * PANEL)
+            let levels: Vec<Option<f64>> = (0..PANEL * PANEL)
                 .into_par_iter()
                 .map(|index| {
                     let at = |i: usize| (i as f64 + 0.5) / PANEL as f64 * 2.0 - 1.0;
                     let [right, up, away] = axes.map(|axis| axis * half);
                     let on_plane = centre + right * at(index % PANEL) - up * at(index / PANEL);
-                    let value = if is_projection {
-                        project(volume, unit_cube_from_world, on_plane, away)
-                    } else {
-                        slice(volume, unit_cube_from_world, on_plane)
+                    let s = |value: f64| {
+                        ((value - window[0]) / (window[1] - window[0])).clamp(0.0, 1.0)
                     };
-                    value.map_or(EMPTY, |value| {
-                        grey((value - window[0]) / (window[1] - window[0]))
-                    })
+                    if is_projection {
+                        project(volume, unit_cube_from_world, on_plane, away, s)
+                    } else {
+                        slice(volume, unit_cube_from_world, on_plane).map(s)
+                    }
                 })
+                .collect();
+            let white = if is_projection {
+                white_level(&levels)
+            } else {
+                1.0
+            };
+            let panel: Vec<[u8; 4]> = levels
+                .iter()
+                .map(|level| level.map_or(EMPTY, |level| grey(level / white)))
                 .collect();
             let (x, y) = (GAP + column * (PANEL + GAP), GAP + row * (PANEL + GAP));
             for (line, pixels) in panel.chunks(PANEL).enumerate() {
@@ -75,17 +84,35 @@ fn slice(volume: &Volume, unit_cube_from_world: DMat4, point: DVec3) -> Option<f
     is_inside(unit).then(|| volume.sample(unit))
 }
 
-/// The largest value along the line of sight through a point.
-fn project(volume: &Volume, unit_cube_from_world: DMat4, point: DVec3, away: DVec3) -> Option<f64> {
+/// What adds up along the line of sight through a point, as a part of what could.
+fn project(
+    volume: &Volume,
+    unit_cube_from_world: DMat4,
+    point: DVec3,
+    away: DVec3,
+    s: impl Fn(f64) -> f64,
+) -> Option<f64> {
     let middle = unit_cube_from_world.transform_point3(point);
     let reach = unit_cube_from_world.transform_vector3(away);
     let dims = DVec3::from_array(volume.dims().map(f64::from));
-    let steps = (0..STEPS).map(|step| (step as f64 + 0.5) / STEPS as f64 * 2.0 - 1.0);
-    steps
-        .map(|t| middle + reach * t)
-        .filter(|&unit| is_inside(unit))
-        .map(|unit| volume.value((unit * dims).to_array().map(|i| i as i64)))
-        .reduce(f64::max)
+    let (mut sum, mut is_met) = (0.0, false);
+    for step in 0..STEPS {
+        let t = (f64::from(step) + 0.5) / f64::from(STEPS) * 2.0 - 1.0;
+        let unit = middle + reach * t;
+        if is_inside(unit) {
+            is_met = true;
+            sum += s(volume.value((unit * dims).to_array().map(|i| i as i64)));
+        }
+    }
+    is_met.then(|| sum / f64::from(STEPS))
+}
+
+/// The level of a projection that is shown white: nearly the largest.
+fn white_level(levels: &[Option<f64>]) -> f64 {
+    let mut levels: Vec<f64> = levels.iter().flatten().copied().collect();
+    levels.sort_by(f64::total_cmp);
+    let white = levels.get(levels.len() * 998 / 1000).copied();
+    white.filter(|&white| white > 0.0).unwrap_or(1.0)
 }
 
 fn is_inside(unit: DVec3) -> bool {

@@ -12,9 +12,13 @@ use holovol_scene::{
 };
 
 use crate::backend::{Device, Goal};
-use crate::cli::{Backend, DemoArgs, DeviceArgs};
+use crate::cli::{Backend, DemoArgs, DeviceArgs, EffortArgs};
 use crate::progress::Bar;
 use crate::{Exit, Failure, output, picture, print_bytes};
+
+/// Unless the user says otherwise tracing ends at the first of these.
+const DEFAULT_SPP: u32 = 64;
+const DEFAULT_SECONDS: f64 = 60.0;
 
 pub(crate) fn run(args: &DemoArgs) -> Result<(), Failure> {
     output::check(&args.out, "png", "--out")?;
@@ -27,7 +31,16 @@ pub(crate) fn run(args: &DemoArgs) -> Result<(), Failure> {
     let scene = sequence.frame(0)?;
 
     let bar = Bar::new("rendering");
-    let goal = Goal::from(args.effort);
+    let goal = match args.effort {
+        EffortArgs {
+            spp: None,
+            seconds: None,
+        } => Goal {
+            spp: DEFAULT_SPP,
+            seconds: DEFAULT_SECONDS,
+        },
+        effort => effort.into(),
+    };
     let traced = device.trace(&scene, 0, goal, &mut |part, spp| {
         bar.set(part);
         bar.say(format!("{spp} spp"));
@@ -93,7 +106,7 @@ fn scene(size: u32) -> SceneFile {
             height: size,
         },
         integrator: IntegratorEntry {
-            max_scatters: Some(3),
+            max_scatters: Some(1),
         },
         stereo: None,
         animation: None,

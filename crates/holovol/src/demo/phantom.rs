@@ -18,15 +18,15 @@ const CENTRE: Vec3 = vec3(0.0, -0.1, 0.06);
 const RAMP: f32 = 1.6;
 
 // The values of the materials. Interpolation passes through all values between two neighbours:
-// air stands between skin and bone so that neither is coated by the other, brain lies beyond the
-// similar skin, and blood so far out that its coat is thin.
+// air (0) stands between skin and bone so that neither is coated by the other; brain, and blood
+// after it, lie so far out that the coat of the materials before them is thin.
 const SKIN: f32 = -1.0;
 const BONE: f32 = 1.0;
-const BRAIN: f32 = -2.0;
-const BLOOD: f32 = -24.0;
+const BRAIN: f32 = -10.0;
+const BLOOD: f32 = -300.0;
 
 /// Values are stored in steps of this.
-const STEP: f64 = 1e-3;
+const STEP: f64 = 0.01;
 
 /// Half spaces of the cuts: skin goes at x > 0, bone there above this height.
 const SKULL_CUT: f32 = 0.24;
@@ -64,21 +64,19 @@ pub(super) fn transfer_function() -> Vec<TransferPoint> {
         roughness: 0.45,
         specular,
     };
-    let blood = [0.72, 0.07, 0.05];
-    let brain = [0.9, 0.62, 0.56];
-    let skin = [0.9, 0.66, 0.52];
-    let bone = [0.95, 0.9, 0.78];
+    let blood = [0.7, 0.07, 0.06];
+    let brain = [0.92, 0.66, 0.62];
+    let skin = [0.9, 0.68, 0.56];
+    let bone = [0.95, 0.91, 0.82];
     vec![
-        point(-24.0, 4000.0, blood, 0.05),
-        point(-4.0, 4000.0, blood, 0.05),
-        point(-3.0, 3000.0, brain, 0.04),
-        point(-1.6, 3000.0, brain, 0.04),
-        point(-1.4, 3000.0, skin, 0.03),
-        point(-0.6, 3000.0, skin, 0.03),
+        point(-14.0, 4000.0, blood, 0.05),
+        point(-12.0, 3500.0, brain, 0.04),
+        point(-2.0, 3500.0, brain, 0.04),
+        point(-1.6, 2500.0, skin, 0.03),
+        point(-0.65, 2500.0, skin, 0.03),
         point(-0.4, 0.0, skin, 0.03),
         point(0.4, 0.0, bone, 0.04),
-        point(0.6, 4000.0, bone, 0.04),
-        point(1.0, 4000.0, bone, 0.04),
+        point(0.65, 4000.0, bone, 0.04),
     ]
 }
 
@@ -98,7 +96,7 @@ fn value(p: Vec3, vessels: &Vessels) -> f32 {
     let cavity = ellipsoid(p, CRANIUM, CRANIUM_RADII - 0.075);
     let opening = (-p.x).max(SKULL_CUT - p.y);
     let bone = carve(skull, cavity, 0.01).max(-opening);
-    let flesh = flesh(p, skin).max(-(cavity - 0.04));
+    let flesh = flesh(p, skin).max(0.03 - ellipsoid(p, CRANIUM, CRANIUM_RADII));
     // The skin of one half, and what it covers.
     let cover = skin.max(p.x).max(-(cavity - 0.03));
 
@@ -313,7 +311,7 @@ fn skin(p: Vec3, skull: f32) -> f32 {
         0.03,
     );
     // Ears: a bent disc with a hollow.
-    let ear = (q - vec3(0.62, -0.02, -0.12)) * vec3(1.0, 1.0, 1.0);
+    let ear = q - vec3(0.62, -0.02, -0.12);
     let ear = vec3(
         ear.x - 0.35 * (-ear.z).max(0.0),
         ear.y,
@@ -332,13 +330,15 @@ fn skin(p: Vec3, skull: f32) -> f32 {
 fn flesh(p: Vec3, skin: f32) -> f32 {
     let angle = (p.x).atan2(p.z + 0.2);
     let strands = 0.012 * (angle * 26.0 + 3.0 * p.y).sin();
-    let depth = if p.y < -0.55 { 0.05 } else { 0.13 };
-    skin + depth + strands
+    // Shallow in the neck, below the bones of the face.
+    let depth = 0.05 + 0.1 * smoothstep(-0.9, -0.7, p.y);
+    let mouth = ellipsoid(p, vec3(0.0, -0.55, 0.55), vec3(0.3, 0.13, 0.34));
+    carve(skin + depth + strands, mouth, 0.04)
 }
 
 /// Hemispheres with their folds, and the cerebellum.
 fn brain(p: Vec3) -> f32 {
-    let hull = ellipsoid(p, CRANIUM + vec3(0.0, 0.0, 0.0), CRANIUM_RADII - 0.1);
+    let hull = ellipsoid(p, CRANIUM, CRANIUM_RADII - 0.1);
     if hull > 0.1 {
         return hull;
     }
@@ -418,10 +418,10 @@ impl Vessels {
     }
 }
 
-/// The point of the brain's hull in the direction of `p`.
+/// The point on the brain's surface in the direction of `p`.
 fn on_brain(p: Vec3) -> Vec3 {
-    let q = (p - CRANIUM) / (CRANIUM_RADII - 0.1);
-    CRANIUM + q.normalize_or(Vec3::Y) * (CRANIUM_RADII - 0.1)
+    let radii = CRANIUM_RADII - 0.085;
+    CRANIUM + ((p - CRANIUM) / radii).normalize_or(Vec3::Y) * radii
 }
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
-//! The light of a living room in the evening: a window on the left, lamps, warm walls.
+//! The light of a living room: a window on the left, a curtained one behind the viewer, lamps,
+//! warm walls.
 
 use glam::{DVec3, dvec3};
 use holovol_light::EnvironmentMap;
@@ -14,7 +15,7 @@ const LOW: DVec3 = dvec3(-2.6, -1.3, -3.4);
 const HIGH: DVec3 = dvec3(2.4, 1.3, 2.8);
 
 /// Radiance of the lamps' shades and of the sky through the window.
-const LAMP: DVec3 = dvec3(58.0, 37.0, 19.0);
+const LAMP: DVec3 = dvec3(56.0, 40.0, 25.0);
 const SKY_HIGH: DVec3 = dvec3(9.0, 13.0, 19.0);
 const SKY_LOW: DVec3 = dvec3(17.0, 16.0, 14.0);
 
@@ -56,7 +57,7 @@ fn radiance(direction: DVec3) -> DVec3 {
         (0, false) => window_wall(p),
         (0, true) => bookshelf(p) * shade(p, DVec3::NEG_X),
         (_, false) => far_wall(p) * shade(p, DVec3::Z),
-        _ => dvec3(0.62, 0.52, 0.43) * shade(p, DVec3::NEG_Z),
+        _ => curtained_wall(p),
     }
 }
 
@@ -87,6 +88,7 @@ fn shade(p: DVec3, normal: DVec3) -> DVec3 {
         light += power * (0.25 + 0.75 * cosine) / (square + 0.3);
     };
     add(window, dvec3(1.5, 1.7, 2.0));
+    add(dvec3(0.3, 0.1, HIGH.z), dvec3(1.1, 1.1, 1.15));
     add(dvec3(1.75, 0.55, -1.6), dvec3(0.75, 0.48, 0.25));
     add(dvec3(-1.9, 0.2, 2.0), dvec3(0.6, 0.38, 0.2));
     add(dvec3(0.5, 1.02, 0.9), dvec3(0.45, 0.29, 0.15));
@@ -145,6 +147,16 @@ fn window_wall(p: DVec3) -> DVec3 {
         return dvec3(0.45, 0.13, 0.1) * fold * light;
     }
     dvec3(0.66, 0.54, 0.42) * light
+}
+
+/// The wall at +z, behind the viewer: daylight through a white curtain.
+fn curtained_wall(p: DVec3) -> DVec3 {
+    let is_curtain = (-0.9..1.5).contains(&p.x) && (-0.9..1.1).contains(&p.y);
+    if is_curtain {
+        let fold = 0.8 + 0.2 * (p.x * 31.0 + 1.5 * (p.x * 5.0).sin()).sin();
+        return dvec3(4.6, 4.7, 4.9) * fold * (0.8 + 0.2 * p.y);
+    }
+    dvec3(0.62, 0.54, 0.46) * shade(p, DVec3::NEG_Z)
 }
 
 /// The wall at +x: shelves of books.
@@ -216,7 +228,7 @@ mod tests {
             });
             directions.map(|d| map.radiance(d)[1]).sum::<f64>() / 400.0
         };
-        assert!(mean(-1.0) > 4.0 * mean(1.0));
+        assert!(mean(-1.0) > 3.0 * mean(1.0));
         let peak = map.texels().iter().flatten().fold(0.0f32, |a, &b| a.max(b));
         assert!((50.0..60.0).contains(&peak), "{peak}");
         assert_eq!(map.replaced(), 0);
