@@ -58,17 +58,15 @@ impl<'a, T: Stored> Field<'a, T> {
         let (x0, x1, wx) = axis(texel.x, nx);
         let (y0, y1, wy) = axis(texel.y, ny);
         let (z0, z1, wz) = axis(texel.z, nz);
-        let row = |y: usize, z: usize| {
-            let start = nx * (y + ny * z);
-            let (a, b) = (self.stored(start + x0), self.stored(start + x1));
-            a + (b - a) * wx
-        };
-        let slice = |z: usize| {
-            let (a, b) = (row(y0, z), row(y1, z));
-            a + (b - a) * wy
-        };
-        let (a, b) = (slice(z0), slice(z1));
-        self.slope * (a + (b - a) * wz) + self.intercept
+        let lerp = |a: f64, b: f64, t: f64| a + (b - a) * t;
+        let [r00, r10] = [y0, y1].map(|y| nx * (y + ny * z0));
+        let [r01, r11] = [y0, y1].map(|y| nx * (y + ny * z1));
+        let x00 = lerp(self.stored(r00 + x0), self.stored(r00 + x1), wx);
+        let x10 = lerp(self.stored(r10 + x0), self.stored(r10 + x1), wx);
+        let x01 = lerp(self.stored(r01 + x0), self.stored(r01 + x1), wx);
+        let x11 = lerp(self.stored(r11 + x0), self.stored(r11 + x1), wx);
+        let stored = lerp(lerp(x00, x10, wy), lerp(x01, x11, wy), wz);
+        self.slope * stored + self.intercept
     }
 
     /// ∇s per metre in the world: central differences over ±1 voxel along each volume axis,

@@ -3,7 +3,7 @@
 
 use holovol_light::luminance;
 
-use crate::Image;
+use crate::{Film, Image};
 
 /// Side of a block, in pixels.
 pub const BLOCK: u32 = 16;
@@ -101,6 +101,17 @@ pub fn relmse(image: &Image, reference: &Image) -> Result<f64, SizeMismatch> {
     mean_over_rgb(image, reference, |a, b| {
         (a - b) * (a - b) / (b * b + RELMSE_OFFSET)
     })
+}
+
+/// The relMSE against the truth that a film is expected to have, from its own variances.
+pub fn expected_relmse(film: &Film) -> f64 {
+    let pixels = film.means().zip(film.variances());
+    let terms = pixels.map(|(mean, variance)| {
+        (0..3)
+            .map(|c| variance[c] / (mean[c] * mean[c] + RELMSE_OFFSET))
+            .sum::<f64>()
+    });
+    terms.sum::<f64>() / (3 * film.means().len()) as f64
 }
 
 /// Keeps dark pixels from ruling relMSE.

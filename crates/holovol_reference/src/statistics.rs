@@ -55,7 +55,8 @@ pub struct Agreement {
     pub mean_square_z: [f64; 4],
     /// z of the whole picture's mean, per channel.
     pub mean_z: [f64; 4],
-    /// Blocks that were tested one by one; the others together.
+    /// Blocks that were tested one by one; the others together, or not at all if even together
+    /// too few paths meet them.
     pub blocks: usize,
 }
 
@@ -354,12 +355,13 @@ pub fn agreement(a: &BlockStatistics, b: &BlockStatistics) -> Result<Agreement, 
         mean_z: whole.map(|score| score.z),
         blocks: 0,
     };
-    let (mut p_worst, mut p_all, mut tests) = (1.0f64, 1.0f64, 0.0);
+    let (mut p_worst, mut p_all, mut p_mean, mut tests) = (1.0f64, 1.0f64, 1.0f64, 0.0f64);
     for c in 0..4 {
         let mut scores = Vec::new();
-        let (mut rest, mut rest_events) = (Vec::new(), 0.0);
+        let (mut rest, mut rest_events, mut all_events) = (Vec::new(), 0.0, 0.0);
         for (index, (x, y)) in (0u32..).zip(a.blocks.iter().zip(&b.blocks)) {
             let events = rare_events(x, y, samples, c);
+            all_events += events;
             if events >= MIN_EVENTS {
                 scores.push(([index % across, index / across], difference(x, y)[c]));
             } else {
@@ -374,6 +376,9 @@ pub fn agreement(a: &BlockStatistics, b: &BlockStatistics) -> Result<Agreement, 
                 merge(rest.iter().map(|(_, y)| *y)),
             ];
             scores.push(([across, 0], difference(&x, &y)[c]));
+        }
+        if all_events >= MIN_EVENTS {
+            p_mean = p_mean.min(whole[c].p);
         }
         let mut sum = 0.0;
         for (place, score) in &scores {
@@ -391,8 +396,11 @@ pub fn agreement(a: &BlockStatistics, b: &BlockStatistics) -> Result<Agreement, 
             p_all = p_all.min(chi_square_p(sum, n));
         }
     }
-    let p_mean = whole.iter().fold(1.0f64, |least, score| least.min(score.p));
     // Bonferroni over blocks and channels, then over the three kinds of test.
-    result.p_value = (3.0 * (p_worst * tests).min(4.0 * p_all).min(4.0 * p_mean)).min(1.0);
+    result.p_value = (3.0
+        * (p_worst * tests.max(1.0))
+            .min(4.0 * p_all)
+            .min(4.0 * p_mean))
+    .min(1.0);
     Ok(result)
 }

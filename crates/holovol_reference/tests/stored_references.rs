@@ -118,3 +118,15 @@ fn real_scans_agree_with_an_independent_renderer() {
     }
     check_all(&paths, if is_nightly() { 256 } else { 8 });
 }
+
+#[test]
+fn small_scenes_agree_with_their_stored_pictures() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/scenes");
+    let paths = scenes(&folder);
+    assert!(
+        paths.len() >= 8,
+        "scenes are missing in {}",
+        folder.display()
+    );
+    check_all(&paths, if is_nightly() { 4096 } else { 64 });
+}

@@ -94,27 +94,33 @@ fn one_wrong_block_is_noticed_and_named() {
     assert!(verdict.to_string().contains("channel G"));
 }
 
+/// Pictures whose paths meet the volume with a chance of `opacity`, 16 samples each.
+fn sparse(rng: &mut Rng, count: usize, opacity: f64) -> BlockStatistics {
+    let mut picture = |_| {
+        let pixels = (0..SIZE * SIZE).map(|_| {
+            let hit = f32::from(u8::from(rng.uniform() < 16.0 * opacity)) / 16.0;
+            [hit, 2.0 * hit, hit, hit]
+        });
+        Image::new(SIZE, SIZE, pixels.collect())
+    };
+    let images: Vec<Image> = (0..count).map(&mut picture).collect();
+    BlockStatistics::from_seeds(&images, 16).expect("same size")
+}
+
 #[test]
 fn blocks_that_few_paths_meet_raise_no_alarm() {
-    // Opacity 1e-4: about half a hit per block, so variances of 0 beside means above 0.
     let mut rng = Rng::new(4, 0, 0);
-    let mut sparse = |count: usize| {
-        let images: Vec<Image> = (0..count)
-            .map(|_| {
-                let pixels = (0..SIZE * SIZE).map(|_| {
-                    let hit = f32::from(u8::from(rng.uniform() < 16.0 * 1e-4)) / 16.0;
-                    [hit, 2.0 * hit, hit, hit]
-                });
-                Image::new(SIZE, SIZE, pixels.collect())
-            })
-            .collect();
-        BlockStatistics::from_seeds(&images, 16).expect("same size")
-    };
-    for _ in 0..20 {
-        let (a, b) = (sparse(4), sparse(4));
-        let verdict = agreement(&a, &b).expect("same size");
-        assert!(verdict.p_value > 1e-4, "{verdict}");
+    // Next to nothing, half a hit per block, and enough in all blocks taken together.
+    for opacity in [1e-6, 3e-5, 2e-3] {
+        for _ in 0..20 {
+            let (a, b) = (sparse(&mut rng, 4, opacity), sparse(&mut rng, 4, opacity));
+            let verdict = agreement(&a, &b).expect("same size");
+            assert!(verdict.p_value > 1e-4, "opacity {opacity}: {verdict}");
+        }
     }
+    let (a, b) = (sparse(&mut rng, 16, 2e-3), sparse(&mut rng, 16, 3e-3));
+    let verdict = agreement(&a, &b).expect("same size");
+    assert!(verdict.p_value < 1e-6, "half as much again: {verdict}");
 }
 
 #[test]
