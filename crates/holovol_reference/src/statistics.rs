@@ -53,10 +53,10 @@ pub struct Agreement {
     pub worst: ([u32; 2], usize),
     /// Mean of z² over the blocks, per channel: 1 by chance, more where blocks differ.
     pub mean_square_z: [f64; 4],
-    /// z of the whole picture's mean, per channel.
+    /// z of the whole picture's mean, per channel; 0 if too few paths meet the volume.
     pub mean_z: [f64; 4],
-    /// Blocks that were tested one by one; the others together, or not at all if even together
-    /// too few paths meet them.
+    /// Tests made of blocks: one by one, those that few paths meet together. 0 if nothing could be
+    /// tested.
     pub blocks: usize,
 }
 
@@ -329,6 +329,40 @@ fn difference(a: &Block, b: &Block) -> [Score; 4] {
     })
 }
 
+/// Scores of all blocks in one channel, those that few paths meet taken together.
+fn block_scores(
+    a: &BlockStatistics,
+    b: &BlockStatistics,
+    channel: usize,
+) -> (Vec<([u32; 2], Score)>, Option<Score>) {
+    let across = blocks_across(a.size[0]);
+    let samples = a.samples.min(b.samples);
+    let mut scores = Vec::new();
+    let mut rest = [Vec::new(), Vec::new()];
+    let (mut rest_events, mut all_events) = (0.0, 0.0);
+    for (index, (x, y)) in (0u32..).zip(a.blocks.iter().zip(&b.blocks)) {
+        let events = rare_events(x, y, samples, channel);
+        all_events += events;
+        if events >= MIN_EVENTS {
+            let place = [index % across, index / across];
+            scores.push((place, difference(x, y)[channel]));
+        } else {
+            rest[0].push(*x);
+            rest[1].push(*y);
+            rest_events += events;
+        }
+    }
+    if rest_events >= MIN_EVENTS {
+        let [x, y] = rest.map(|blocks| merge(blocks.into_iter()));
+        scores.push(([across, 0], difference(&x, &y)[channel]));
+    }
+    let whole = (all_events >= MIN_EVENTS).then(|| {
+        let [x, y] = [a, b].map(|side| merge(side.blocks.iter().copied()));
+        difference(&x, &y)[channel]
+    });
+    (scores, whole)
+}
+
 /// Tests whether two pictures have the same expectation: by the worst block, by all blocks
 /// together (chi-square of z-scores), and by the whole pictures' means.
 ///
@@ -341,44 +375,24 @@ pub fn agreement(a: &BlockStatistics, b: &BlockStatistics) -> Result<Agreement, 
             b: b.size,
         });
     }
-    let across = blocks_across(a.size[0]);
-    let samples = a.samples.min(b.samples);
-    let whole = difference(
-        &merge(a.blocks.iter().copied()),
-        &merge(b.blocks.iter().copied()),
-    );
     let mut result = Agreement {
         p_value: 1.0,
         max_z: 0.0,
         worst: ([0, 0], 0),
         mean_square_z: [0.0; 4],
-        mean_z: whole.map(|score| score.z),
+        mean_z: [0.0; 4],
         blocks: 0,
     };
-    let (mut p_worst, mut p_all, mut p_mean, mut tests) = (1.0f64, 1.0f64, 1.0f64, 0.0f64);
-    for c in 0..4 {
-        let mut scores = Vec::new();
-        let (mut rest, mut rest_events, mut all_events) = (Vec::new(), 0.0, 0.0);
-        for (index, (x, y)) in (0u32..).zip(a.blocks.iter().zip(&b.blocks)) {
-            let events = rare_events(x, y, samples, c);
-            all_events += events;
-            if events >= MIN_EVENTS {
-                scores.push(([index % across, index / across], difference(x, y)[c]));
-            } else {
-                rest.push((*x, *y));
-                rest_events += events;
-            }
+    let (mut p_worst, mut p_all, mut p_mean) = (1.0f64, 1.0f64, 1.0f64);
+    let mut tests = 0;
+    for channel in 0..4 {
+        let (scores, whole) = block_scores(a, b, channel);
+        if let Some(whole) = whole {
+            p_mean = p_mean.min(whole.p);
+            result.mean_z[channel] = whole.z;
         }
-        result.blocks = result.blocks.max(scores.len());
-        if rest_events >= MIN_EVENTS {
-            let [x, y] = [
-                merge(rest.iter().map(|(x, _)| *x)),
-                merge(rest.iter().map(|(_, y)| *y)),
-            ];
-            scores.push(([across, 0], difference(&x, &y)[c]));
-        }
-        if all_events >= MIN_EVENTS {
-            p_mean = p_mean.min(whole[c].p);
+        if scores.is_empty() {
+            continue;
         }
         let mut sum = 0.0;
         for (place, score) in &scores {
@@ -386,21 +400,17 @@ pub fn agreement(a: &BlockStatistics, b: &BlockStatistics) -> Result<Agreement, 
             sum += score.z * score.z;
             if score.z.abs() > result.max_z {
                 result.max_z = score.z.abs();
-                result.worst = (*place, c);
+                result.worst = (*place, channel);
             }
         }
-        if !scores.is_empty() {
-            let n = scores.len() as f64;
-            tests += n;
-            result.mean_square_z[c] = sum / n;
-            p_all = p_all.min(chi_square_p(sum, n));
-        }
+        let count = scores.len() as f64;
+        result.mean_square_z[channel] = sum / count;
+        result.blocks = result.blocks.max(scores.len());
+        p_all = p_all.min(chi_square_p(sum, count));
+        tests += scores.len();
     }
     // Bonferroni over blocks and channels, then over the three kinds of test.
-    result.p_value = (3.0
-        * (p_worst * tests.max(1.0))
-            .min(4.0 * p_all)
-            .min(4.0 * p_mean))
-    .min(1.0);
+    let p_worst = p_worst * tests.max(1) as f64;
+    result.p_value = (3.0 * p_worst.min(4.0 * p_all).min(4.0 * p_mean)).min(1.0);
     Ok(result)
 }
