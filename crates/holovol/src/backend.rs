@@ -218,10 +218,17 @@ mod tests {
         for spp in [1, 2, 3, 7, 64, 1000] {
             let mut made = 0;
             let mut last = 0.0;
-            let (done, _) = pursue(Goal::Samples(spp), &mut |part, _| last = part, |samples| {
-                made += samples;
-                Ok(())
-            })
+            let (done, _) = pursue(
+                Goal {
+                    spp,
+                    seconds: f64::INFINITY,
+                },
+                &mut |part, _| last = part,
+                |samples| {
+                    made += samples;
+                    Ok(())
+                },
+            )
             .unwrap();
             assert_eq!((made, done), (spp, u64::from(spp)));
             assert_eq!(last, 1.0);

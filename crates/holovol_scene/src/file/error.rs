@@ -77,7 +77,7 @@ pub enum SceneError {
         /// JSON path of the volume's path.
         field: String,
         /// Why, with the file's name.
-        source: VolumeError,
+        source: Box<VolumeError>,
     },
     /// The light could not be loaded.
     #[error("{field}: {source}")]
