@@ -61,7 +61,7 @@ impl Sequence {
             holovol_volume::open(&base.join(&file.volume.path), progress).map_err(|source| {
                 SceneError::Volume {
                     field: "volume.path".into(),
-                    source,
+                    source: Box::new(source),
                 }
             })?;
         Self::from_parts(
