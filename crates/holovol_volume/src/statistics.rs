@@ -303,26 +303,24 @@ fn count_some<T: Copy + Sync>(
     bins: usize,
     bin: impl Fn(T) -> Option<usize> + Sync,
 ) -> Vec<u64> {
-    values
-        .par_chunks(CHUNK)
-        .fold(
-            || vec![0u64; bins],
-            |mut counts, chunk| {
-                for bin in chunk.iter().filter_map(|&value| bin(value)) {
-                    counts[bin] += 1;
-                }
-                counts
-            },
-        )
-        .reduce(
-            || vec![0u64; bins],
-            |mut a, b| {
-                for (a, b) in a.iter_mut().zip(b) {
-                    *a += b;
-                }
-                a
-            },
-        )
+    let add = |mut counts: Vec<u64>, chunk: &[T]| {
+        for bin in chunk.iter().filter_map(|&value| bin(value)) {
+            counts[bin] += 1;
+        }
+        counts
+    };
+    let none = || vec![0u64; bins];
+    // A table per thread costs more than a small volume.
+    if values.len() <= CHUNK {
+        return add(none(), values);
+    }
+    let pieces = values.par_chunks(CHUNK).fold(none, add);
+    pieces.reduce(none, |mut a, b| {
+        for (a, b) in a.iter_mut().zip(b) {
+            *a += b;
+        }
+        a
+    })
 }
 
 /// Sum in f64, chunk by chunk so that it doesn't hang on the number of threads.
