@@ -1,10 +1,10 @@
 //! Environment light for volume rendering: radiance maps and their sampling tables.
 //!
 //! An [`EnvironmentMap`] is a latitude–longitude picture of linear radiance around the scene;
-//! an [`EnvironmentSampler`] draws directions in exact proportion to its interpolated luminance.
+//! an [`EnvironmentSampler`] draws directions in exact proportion to its interpolated importance.
 
 mod environment;
 mod sampler;
 
 pub use environment::{EnvironmentMap, LightError, luminance};
-pub use sampler::{AliasEntry, EnvironmentSampler};
+pub use sampler::{AliasEntry, EnvironmentSampler, importance};

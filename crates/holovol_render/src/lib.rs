@@ -1,3 +1,30 @@
-//! The wgpu kernels of holovol: majorants and the volume path tracer. Runs on any wgpu device.
+//! The wgpu kernels of holovol: majorants and the volume path tracer.
+//!
+//! Runs on any wgpu device, with or without a window: [`Gpu::new`] opens one, Bevy brings its own.
+//!
+//! ```no_run
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use holovol_render::{Gpu, TraceOptions, Tracer};
+//! let scene = holovol_scene::load("scene.json".as_ref(), &mut |_progress| {})?;
+//! let gpu = Gpu::new(None)?;
+//! let mut tracer = Tracer::new(&gpu, &scene, &TraceOptions::default())?;
+//! tracer.accumulate(64)?;
+//! let pixels: Vec<[f32; 4]> = tracer.read_image()?;
+//! # Ok(()) }
+//! ```
 
+mod error;
+mod fetch;
+mod gpu;
+mod layout;
+mod majorant;
+mod shader;
+mod trace;
+mod volume;
+
+pub use error::RenderError;
+pub use gpu::{Gpu, wanted_features, wanted_limits};
+pub use majorant::MajorantGrid;
+pub use trace::{Counters, Guide, Interpolation, TraceOptions, Tracer};
+pub use volume::GpuVolume;
 pub use wgpu;

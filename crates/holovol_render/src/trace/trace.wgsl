@@ -1,0 +1,495 @@
+// The volume path tracer. Each invocation makes the samples of one pixel, one after the other, in
+// one loop whose round is a step of a walk: so lanes of a subgroup stay busy though their paths
+// differ, and a path can be saved after any round and go on in the next dispatch.
+//
+// A flight goes on through the volume after its tentative collisions, weighs each by the
+// transmittance in front of it, and scatters at one of them, chosen by weight: its opacity is an
+// expectation instead of a coin toss (Novak et al. 2014, ratio tracking).
+
+#import holovol_render::bindings::{
+    scene, dispatch, accumulators, counters, guides, resumed, saved, SavedPath,
+}
+#import holovol_render::random::{pcg3d, sobol_pair, unit_float, unit_float_pair, unit_float_triple}
+#import holovol_render::field::{field_at, field_gradient}
+#import holovol_render::transfer_function::{
+    transfer_sigma_t, transfer_emission, transfer_material,
+}
+#import holovol_render::surface::{Surface, scatter_eval, scatter_pdf, scatter_sample}
+#import holovol_render::scattering::choose_light
+#import holovol_render::walk::{
+    Walk, walk_start, walk_advance, walk_distance, walk_next, walk_majorant, WALK_COLLISION,
+    WALK_LEFT, load_occupied,
+}
+
+// What a lane does next.
+const STAGE_START: u32 = 0u;
+const STAGE_FLIGHT: u32 = 1u;
+const STAGE_SHADOW: u32 = 2u;
+const STAGE_SCATTER: u32 = 3u;
+const STAGE_BOUNCE: u32 = 4u;
+const STAGE_FINISH: u32 = 5u;
+
+// Below this transmittance a walk lives on by chance.
+const ROULETTE_TRANSMITTANCE: f32 = 0.1;
+// A bounce lives on by chance once its throughput has fallen below that of the first collision.
+const PICKS: u32 = #{PICKS}u;
+const FOLD_SAMPLES: u32 = #{FOLD_SAMPLES}u;
+// Well-spread dimensions: pixel position, first collision, and from here two for each scattering.
+const DIMENSION_PIXEL: u32 = 0u;
+const DIMENSION_FLIGHT: u32 = 1u;
+const DIMENSION_LIGHT: u32 = 2u;
+// Streams of plain random numbers, by the key's last word.
+const STREAM_SCATTER: u32 = 0x40000000u;
+const STREAM_STRIDE: u32 = 16u;
+
+struct Path {
+    stage: u32,
+    pixel: u32,
+    sample: u32,
+    sample_end: u32,
+    // Scatterings so far, and plain random numbers used so far.
+    depth: u32,
+    counter: u32,
+    key: vec2<u32>,
+    walk: Walk,
+    transmittance: f32,
+    // Flight: total weight of its tentative collisions, those chosen, and the numbers that choose.
+    weight_sum: f32,
+    chosen_distance: array<f32, PICKS>,
+    chosen_s: array<f32, PICKS>,
+    xi: array<f32, PICKS>,
+    // Which of the chosen is being lit.
+    pick: u32,
+    flight_origin: vec3<f32>,
+    wo: vec3<f32>,
+    next_wi: vec3<f32>,
+    throughput: vec3<f32>,
+    light: vec3<f32>,
+    radiance: vec3<f32>,
+    opacity: f32,
+}
+
+fn path_random(path: ptr<function, Path>) -> vec3<f32> {
+    let bits = pcg3d(vec3<u32>((*path).key, (*path).counter));
+    (*path).counter += 1u;
+    return unit_float_triple(bits);
+}
+
+fn path_key(pixel: u32, sample: u32) -> vec2<u32> {
+    return pcg3d(vec3<u32>(pixel, sample, dispatch.seed)).xy;
+}
+
+fn well_spread(path: Path, index: u32, dimension: u32) -> vec2<f32> {
+#if WHITE_NOISE == 1
+    return unit_float_pair(pcg3d(vec3<u32>(path.pixel, index, dispatch.seed ^ (0x85ebca6bu * (dimension + 1u)))).xy);
+#else
+    let seed = pcg3d(vec3<u32>(path.pixel, dispatch.seed ^ 0x85ebca6bu, dimension)).x;
+    return sobol_pair(index, seed);
+#endif
+}
+
+fn texel_from_world(direction: vec3<f32>) -> vec3<f32> {
+    return vec3<f32>(
+        dot(scene.texel_from_world_x.xyz, direction),
+        dot(scene.texel_from_world_y.xyz, direction),
+        dot(scene.texel_from_world_z.xyz, direction),
+    );
+}
+
+fn optical_depth_draw(xi: f32) -> f32 {
+    return -log(1.0 - xi);
+}
+
+fn begin_walk(path: ptr<function, Path>, stage: u32, walk: Walk) {
+    (*path).walk = walk;
+    (*path).stage = stage;
+    (*path).transmittance = 1.0;
+}
+
+fn begin_flight(path: ptr<function, Path>, origin: vec3<f32>, direction: vec3<f32>, xi: vec2<f32>) {
+    (*path).weight_sum = 0.0;
+    (*path).pick = 0u;
+    (*path).flight_origin = origin;
+    for (var k = 0u; k < PICKS; k += 1u) {
+        (*path).xi[k] = fract(xi.y + f32(k) / f32(PICKS));
+    }
+    begin_walk(path, STAGE_FLIGHT, walk_start(origin, direction, 0.0, optical_depth_draw(xi.x)));
+}
+
+fn start_sample(path: ptr<function, Path>) {
+    if (*path).sample >= (*path).sample_end {
+        return;
+    }
+    (*path).key = path_key((*path).pixel, (*path).sample);
+    (*path).counter = 0u;
+    (*path).depth = 0u;
+    (*path).throughput = vec3<f32>(1.0);
+    (*path).radiance = vec3<f32>(0.0);
+    (*path).opacity = 0.0;
+    let width = dispatch.image_size.x;
+    let corner = vec2<f32>(f32((*path).pixel % width), f32((*path).pixel / width));
+    let position = corner + well_spread(*path, (*path).sample, DIMENSION_PIXEL);
+    let origin = scene.ray_origin + position.x * scene.ray_origin_dx
+        + position.y * scene.ray_origin_dy;
+    let texel = scene.ray_texel + position.x * scene.ray_texel_dx + position.y * scene.ray_texel_dy;
+    let world = scene.ray_world + position.x * scene.ray_world_dx + position.y * scene.ray_world_dy;
+    let metres_per_depth = length(world.xyz);
+    (*path).wo = -world.xyz / metres_per_depth;
+    begin_flight(
+        path, origin.xyz, texel.xyz / metres_per_depth, well_spread(*path, (*path).sample, DIMENSION_FLIGHT),
+    );
+    if (*path).walk.t_end <= (*path).walk.t_cell {
+        (*path).stage = STAGE_FINISH;
+    }
+}
+
+fn is_finite(x: f32) -> bool {
+    return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u;
+}
+
+fn finish_sample(path: ptr<function, Path>) {
+    var value = vec4<f32>((*path).radiance, (*path).opacity);
+    if !(is_finite(value.x) && is_finite(value.y) && is_finite(value.z) && is_finite(value.w)) {
+        // Only an overflow can cause it: radiance near the end of f32.
+        value = vec4<f32>(0.0);
+        atomicAdd(&counters.nonfinite_samples, 1u);
+    }
+    let recent = 2u * (*path).pixel;
+    let sum = accumulators[recent] + value;
+    (*path).sample += 1u;
+    if (*path).sample % FOLD_SAMPLES == 0u {
+        accumulators[recent + 1u] += sum;
+        accumulators[recent] = vec4<f32>(0.0);
+    } else {
+        accumulators[recent] = sum;
+    }
+#if STATISTICS == 1
+    if (*path).opacity > 0.0 {
+        atomicAdd(&counters.covered_samples, 1u);
+    }
+#endif
+    (*path).stage = STAGE_START;
+}
+
+fn surface_at(texel: vec3<f32>, wo: vec3<f32>, roughness: f32, specular: f32) -> Surface {
+    var surface = Surface(vec3<f32>(0.0, 0.0, 1.0), 0.0, 0.0, 1.0);
+#if SURFACE == 1
+    let gradient = field_gradient(texel);
+    let magnitude = length(gradient);
+    if magnitude > 0.0 && is_finite(magnitude) {
+        let normal = gradient / magnitude;
+        surface.normal = select(-normal, normal, dot(normal, wo) >= 0.0);
+        surface.probability = 1.0 - exp(-scene.field.w * magnitude);
+        surface.specular = specular;
+        surface.alpha = max(roughness * roughness, 1e-3);
+    }
+#endif
+    return surface;
+}
+
+#if GUIDES == 1
+fn add_guides(
+    pixel: u32,
+    texel: vec3<f32>,
+    wo: vec3<f32>,
+    distance: f32,
+    albedo: vec3<f32>,
+    flight_weight: f32,
+) {
+    let before = scene.forward.w / dot(-wo, scene.forward.xyz);
+    let depth = before + distance;
+    let weight = flight_weight / f32(PICKS);
+    let gradient = field_gradient(texel);
+    let magnitude = length(gradient);
+    let base = 3u * pixel;
+    guides[base] += weight * vec4<f32>(depth, depth * depth, magnitude, 1.0);
+    guides[base + 1u] += weight * vec4<f32>(albedo, 0.0);
+    guides[base + 2u] += weight * vec4<f32>(gradient / max(magnitude, 1e-30), 0.0);
+}
+#endif
+
+// Collisions to be lit: several of the camera's flight, so that its cost is shared; one later on.
+fn picks_at(depth: u32) -> u32 {
+    return select(1u, PICKS, depth == 0u);
+}
+
+// At a chosen collision: light by a shadow walk; at the last one, the direction of the next flight.
+fn scatter(path: ptr<function, Path>) {
+    let pick = (*path).pick;
+    let distance = (*path).chosen_distance[pick];
+    let texel = (*path).flight_origin + distance * texel_from_world(-(*path).wo);
+    let material = transfer_material((*path).chosen_s[pick]);
+    let g = scene.field.z;
+    let surface = surface_at(texel, (*path).wo, material.roughness, material.specular);
+    let throughput = (*path).throughput * (*path).weight_sum * material.albedo;
+#if GUIDES == 1
+    if (*path).depth == 0u {
+        add_guides((*path).pixel, texel, (*path).wo, distance, material.albedo, (*path).weight_sum);
+    }
+#endif
+    let stream = STREAM_SCATTER + STREAM_STRIDE * (PICKS * (*path).depth + pick);
+    let picks = picks_at((*path).depth);
+    let dimension = DIMENSION_LIGHT + 2u * (*path).depth;
+    let first = well_spread(*path, picks * (*path).sample + pick, dimension);
+    let choice = choose_light(g, surface, (*path).wo, first, vec3<u32>((*path).key, stream));
+    (*path).light = throughput * choice.weight / f32(picks);
+    (*path).walk.origin = texel;
+    (*path).stage = STAGE_BOUNCE;
+    (*path).pick += 1u;
+    if (*path).pick == picks {
+        (*path).depth += 1u;
+#if MULTIPLE_SCATTERING == 1
+        let bits = pcg3d(vec3<u32>((*path).key, stream + STREAM_STRIDE - 1u));
+        let uv = well_spread(*path, (*path).sample, dimension + 1u);
+        let wi = scatter_sample(g, surface, (*path).wo, vec3<f32>(uv, unit_float(bits.x)));
+        (*path).next_wi = wi;
+        (*path).throughput = throughput;
+#if SURFACE == 1
+        let pdf = scatter_pdf(g, surface, (*path).wo, wi);
+        (*path).throughput *= select(0.0, scatter_eval(g, surface, (*path).wo, wi) / pdf, pdf > 0.0);
+#endif
+        let alive = max(max((*path).throughput.r, (*path).throughput.g), (*path).throughput.b);
+        let lives = unit_float(bits.y) < alive;
+        (*path).throughput = select(vec3<f32>(0.0), (*path).throughput / min(alive, 1.0), lives);
+#endif
+    }
+    if any((*path).light > vec3<f32>(0.0)) {
+        let tau = optical_depth_draw(path_random(path).x);
+        begin_walk(path, STAGE_SHADOW, walk_start(texel, texel_from_world(choice.wi), 0.0, tau));
+        if (*path).walk.t_end <= (*path).walk.t_cell {
+            (*path).radiance += (*path).light;
+            (*path).stage = STAGE_BOUNCE;
+        }
+    }
+}
+
+fn bounce(path: ptr<function, Path>) {
+    if (*path).pick < picks_at((*path).depth) {
+        (*path).stage = STAGE_SCATTER;
+        return;
+    }
+    (*path).stage = STAGE_FINISH;
+#if MULTIPLE_SCATTERING == 1
+#if EMISSION == 1
+    let goes_on = true;
+#else
+    let goes_on = (*path).depth < scene.cells.w;
+#endif
+    if goes_on && any((*path).throughput > vec3<f32>(0.0)) {
+        (*path).wo = -(*path).next_wi;
+        let xi = path_random(path).xy;
+        begin_flight(path, (*path).walk.origin, texel_from_world((*path).next_wi), xi);
+        if (*path).walk.t_end <= (*path).walk.t_cell {
+            (*path).stage = STAGE_FINISH;
+        }
+    }
+#endif
+}
+
+// One tentative collision, or the end of the walk.
+fn walk_round(path: ptr<function, Path>, lookups: ptr<function, u32>) {
+    var walk = (*path).walk;
+    let event = walk_advance(&walk, #{STEPS_PER_ROUND}u);
+    (*path).walk = walk;
+    var ended = event == WALK_LEFT;
+    if event == WALK_COLLISION {
+        let distance = walk_distance((*path).walk);
+        let s = field_at((*path).walk.origin + distance * (*path).walk.direction);
+        let sigma_t = transfer_sigma_t(s);
+        *lookups += 1u;
+        if sigma_t > (*path).walk.sigma_maj {
+            atomicAdd(&counters.majorant_violations, 1u);
+        }
+        let collision_probability = min(sigma_t / (*path).walk.sigma_maj, 1.0);
+        let xi = path_random(path);
+        if (*path).stage == STAGE_FLIGHT {
+            let weight = (*path).transmittance * collision_probability;
+            (*path).weight_sum += weight;
+            // One number chooses among all: stretched after each decision, it stays uniform.
+            let share = select(0.0, weight / (*path).weight_sum, weight > 0.0);
+            for (var k = 0u; k < PICKS; k += 1u) {
+                let chosen = (*path).xi[k] < share;
+                (*path).chosen_distance[k] = select((*path).chosen_distance[k], distance, chosen);
+                (*path).chosen_s[k] = select((*path).chosen_s[k], s, chosen);
+                let above = ((*path).xi[k] - share) / (1.0 - share);
+                (*path).xi[k] = select(above, (*path).xi[k] / share, chosen);
+            }
+#if EMISSION == 1
+            (*path).radiance += (*path).throughput * weight * transfer_emission(s);
+#endif
+        }
+        (*path).transmittance *= 1.0 - collision_probability;
+        if (*path).transmittance < ROULETTE_TRANSMITTANCE {
+            if xi.x * ROULETTE_TRANSMITTANCE < (*path).transmittance {
+                (*path).transmittance = ROULETTE_TRANSMITTANCE;
+            } else {
+                (*path).transmittance = 0.0;
+                ended = true;
+            }
+        }
+        (*path).walk.tau += optical_depth_draw(xi.y);
+    }
+    if ended {
+        if (*path).stage == STAGE_SHADOW {
+            (*path).radiance += (*path).light * (*path).transmittance;
+            (*path).stage = STAGE_BOUNCE;
+        } else {
+            if (*path).depth == 0u {
+                (*path).opacity = (*path).weight_sum;
+            }
+            let scatters = (*path).weight_sum > 0.0 && (*path).depth < scene.cells.w;
+            (*path).stage = select(STAGE_FINISH, STAGE_SCATTER, scatters);
+        }
+    }
+}
+
+fn save_path(path: Path, slot: u32) {
+    let walk = path.walk;
+    saved[slot].words[0] = vec4<u32>(path.stage, path.pixel, path.sample, path.sample_end);
+    saved[slot].words[1] = vec4<u32>(path.depth, path.counter, path.key);
+    saved[slot].words[2] = bitcast<vec4<u32>>(vec4<f32>(walk.origin, walk.t_cell));
+    saved[slot].words[3] = bitcast<vec4<u32>>(vec4<f32>(walk.direction, walk.tau));
+    saved[slot].words[4] = vec4<u32>(bitcast<vec3<u32>>(walk.cell), path.pick);
+    saved[slot].words[5] = bitcast<vec4<u32>>(
+        vec4<f32>(path.transmittance, path.weight_sum, 0.0, 0.0),
+    );
+    saved[slot].words[6] = bitcast<vec4<u32>>(vec4<f32>(path.wo, path.opacity));
+    saved[slot].words[7] = bitcast<vec4<u32>>(vec4<f32>(path.next_wi, 0.0));
+    saved[slot].words[8] = bitcast<vec4<u32>>(vec4<f32>(path.throughput, 0.0));
+    saved[slot].words[9] = bitcast<vec4<u32>>(vec4<f32>(path.light, 0.0));
+    saved[slot].words[10] = bitcast<vec4<u32>>(vec4<f32>(path.radiance, 0.0));
+    saved[slot].words[11] = bitcast<vec4<u32>>(vec4<f32>(path.flight_origin, 0.0));
+    for (var k = 0u; k < PICKS; k += 1u) {
+        saved[slot].words[12u + k] = bitcast<vec4<u32>>(
+            vec4<f32>(path.chosen_distance[k], path.chosen_s[k], path.xi[k], 0.0),
+        );
+    }
+}
+
+fn restore_path(slot: u32) -> Path {
+    var path: Path;
+    let w0 = resumed[slot].words[0];
+    let w1 = resumed[slot].words[1];
+    let w2 = bitcast<vec4<f32>>(resumed[slot].words[2]);
+    let w3 = bitcast<vec4<f32>>(resumed[slot].words[3]);
+    let w4 = resumed[slot].words[4];
+    let w5 = bitcast<vec4<f32>>(resumed[slot].words[5]);
+    path.stage = w0.x;
+    path.pixel = w0.y;
+    path.sample = w0.z;
+    path.sample_end = w0.w;
+    path.depth = w1.x;
+    path.counter = w1.y;
+    path.key = w1.zw;
+    path.walk = walk_start(w2.xyz, w3.xyz, 0.0, w3.w);
+    path.walk.t_cell = w2.w;
+    path.walk.cell = bitcast<vec3<i32>>(w4.xyz);
+    path.walk.t_next = walk_next(path.walk);
+    path.walk.sigma_maj = walk_majorant(path.walk.cell);
+    path.pick = w4.w;
+    path.transmittance = w5.x;
+    path.weight_sum = w5.y;
+    let w6 = bitcast<vec4<f32>>(resumed[slot].words[6]);
+    path.wo = w6.xyz;
+    path.opacity = w6.w;
+    path.next_wi = bitcast<vec4<f32>>(resumed[slot].words[7]).xyz;
+    path.throughput = bitcast<vec4<f32>>(resumed[slot].words[8]).xyz;
+    path.light = bitcast<vec4<f32>>(resumed[slot].words[9]).xyz;
+    path.radiance = bitcast<vec4<f32>>(resumed[slot].words[10]).xyz;
+    path.flight_origin = bitcast<vec4<f32>>(resumed[slot].words[11]).xyz;
+    for (var k = 0u; k < PICKS; k += 1u) {
+        let chosen = bitcast<vec4<f32>>(resumed[slot].words[12u + k]);
+        path.chosen_distance[k] = chosen.x;
+        path.chosen_s[k] = chosen.y;
+        path.xi[k] = chosen.z;
+    }
+    return path;
+}
+
+#if SUBGROUPS == 1
+fn count_lanes(ballot: vec4<u32>) -> u32 {
+    let counts = countOneBits(ballot);
+    return counts.x + counts.y + counts.z + counts.w;
+}
+#endif
+
+// Runs a path, and the further samples of its pixel, to their end or until the budget is spent.
+fn run(initial: Path) {
+    var path = initial;
+    var lookups = 0u;
+    var budget = dispatch.budget;
+    var round = 0u;
+    loop {
+        if path.stage == STAGE_START && path.sample >= path.sample_end {
+            break;
+        }
+        let walking = path.stage == STAGE_FLIGHT || path.stage == STAGE_SHADOW;
+        if round >= budget && walking {
+            let slot = atomicAdd(&counters.saved_paths, 1u);
+            if slot < dispatch.queue_capacity {
+                save_path(path, slot);
+                break;
+            }
+            // No room: going on here is slow, but right.
+            budget += dispatch.budget;
+        }
+        round += 1u;
+        var served = !walking;
+#if SUBGROUPS == 1
+        // Scattering costs much: lanes wait until there are enough of them.
+        let walking_lanes = count_lanes(subgroupBallot(walking));
+        let waiting_lanes = count_lanes(subgroupBallot(!walking));
+        served = served && waiting_lanes * #{SERVE_RATIO}u >= walking_lanes;
+#endif
+        if served {
+            if path.stage == STAGE_BOUNCE {
+                bounce(&path);
+            }
+            if path.stage == STAGE_SCATTER {
+                scatter(&path);
+            }
+            if path.stage == STAGE_FINISH {
+                finish_sample(&path);
+            }
+            if path.stage == STAGE_START {
+                start_sample(&path);
+            }
+        }
+        if path.stage == STAGE_FLIGHT || path.stage == STAGE_SHADOW {
+            walk_round(&path, &lookups);
+        }
+    }
+#if STATISTICS == 1
+    atomicAdd(&counters.lookups, lookups);
+    atomicAdd(&counters.cells, round);
+#endif
+}
+
+@compute @workgroup_size(#{WORKGROUP_SIZE})
+fn trace(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    // Lanes of a subgroup lie in a compact block: 4x2, 8x4, 8x8 pixels.
+    let block = vec2<u32>(
+        (local & 3u) | ((local >> 1u) & 4u),
+        ((local >> 2u) & 1u) | ((local >> 3u) & 6u),
+    );
+    let tile_pixel = 8u * group.xy + block;
+    if any(tile_pixel >= dispatch.tile_size) {
+        return;
+    }
+    let pixel = dispatch.tile_origin + tile_pixel;
+    var path: Path;
+    load_occupied();
+    path.stage = STAGE_START;
+    path.pixel = pixel.x + dispatch.image_size.x * pixel.y;
+    path.sample = dispatch.sample_start;
+    path.sample_end = dispatch.sample_end;
+    run(path);
+}
+
+@compute @workgroup_size(#{WORKGROUP_SIZE})
+fn resume(@builtin(global_invocation_id) invocation: vec3<u32>) {
+    if invocation.x < dispatch.resumed_paths {
+        load_occupied();
+        run(restore_path(invocation.x));
+    }
+}
