@@ -28,6 +28,7 @@ mod special;
 pub mod statistics;
 mod stored;
 mod tracer;
+mod tracking;
 
 #[cfg(test)]
 mod tests;

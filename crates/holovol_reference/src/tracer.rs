@@ -1,4 +1,4 @@
-//! The path tracer: delta tracking to collisions, ratio tracking to the light.
+//! The path tracer: from collision to collision, at each of them light by two strategies.
 
 use std::ops::ControlFlow;
 
@@ -10,10 +10,10 @@ use rayon::prelude::*;
 
 use crate::Film;
 use crate::environment::EnvironmentTable;
-use crate::field::{Extinction, Field, Stored};
-use crate::majorants::Majorants;
+use crate::field::{Field, Stored};
 use crate::phase::{Phase, Surface};
 use crate::rng::Rng;
+use crate::tracking::{Medium, Vertex};
 
 /// How directions to the light are found. All three are unbiased, [`Self::Both`] has less noise.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -109,16 +109,16 @@ pub fn render(
 }
 
 /// A scene made ready for tracing: majorants and light tables are built.
+///
+/// Time grows with the optical depth of the cells that rays cross: 4³ voxels of 1e9 and beyond,
+/// with empty space in the same cell, take minutes per ray.
 pub struct Tracer<'a> {
     scene: &'a Scene,
     settings: Settings,
-    extinction: Extinction,
-    majorants: Majorants,
+    medium: Medium,
     light: Light,
     rays: PixelRays,
     texel_from_world: DMat4,
-    /// Its linear part.
-    texel_from_direction: DMat3,
     min_spacing: f64,
     emits: bool,
     #[cfg(test)]
@@ -135,14 +135,6 @@ enum Light {
         /// Turns directions of the map's frame into the world's.
         world_from_map: DMat3,
     },
-}
-
-/// Where a path is in space.
-#[derive(Clone, Copy)]
-struct Vertex {
-    /// Texel coordinates.
-    texel: DVec3,
-    s: f64,
 }
 
 impl<'a> Tracer<'a> {
@@ -176,24 +168,14 @@ impl<'a> Tracer<'a> {
             return Err(TraceError::Camera);
         }
 
-        let extinction = Extinction::new(&scene.transfer_function);
-        let majorants = match scene.volume.voxels() {
-            Voxels::U8(v) => Majorants::new(&Field::new(scene, v), &extinction),
-            Voxels::I8(v) => Majorants::new(&Field::new(scene, v), &extinction),
-            Voxels::U16(v) => Majorants::new(&Field::new(scene, v), &extinction),
-            Voxels::I16(v) => Majorants::new(&Field::new(scene, v), &extinction),
-            Voxels::F32(v) => Majorants::new(&Field::new(scene, v), &extinction),
-        };
         let points = scene.transfer_function.points();
         Ok(Self {
             scene,
             settings: *settings,
-            extinction,
-            majorants,
+            medium: Medium::new(scene, &texel_from_world),
             light: Light::new(scene),
             rays,
             texel_from_world,
-            texel_from_direction: DMat3::from_mat4(texel_from_world),
             min_spacing: scene.min_spacing(),
             emits: points.iter().any(|p| p.emission.iter().any(|&c| c > 0.0)),
             #[cfg(test)]
@@ -253,7 +235,7 @@ impl<'a> Tracer<'a> {
         let mut direction =
             (rays.direction + x * rays.direction_dx + y * rays.direction_dy).normalize();
         let origin = self.texel_from_world.transform_point3(rays.origin);
-        let Some(mut vertex) = self.free_flight(field, origin, direction, rng) else {
+        let Some(mut vertex) = self.medium.free_flight(field, origin, direction, rng) else {
             return [0.0; 4];
         };
 
@@ -289,8 +271,9 @@ impl<'a> Tracer<'a> {
             if self.scene.integrator.max_scatters == Some(scatters) && !self.emits {
                 let light = self.light_by_phase(wi, pdf);
                 if light.max_element() > 0.0 {
-                    radiance +=
-                        throughput * light * self.transmittance(field, vertex.texel, wi, rng);
+                    radiance += throughput
+                        * light
+                        * self.medium.transmittance(field, vertex.texel, wi, rng);
                 }
                 break;
             }
@@ -302,7 +285,7 @@ impl<'a> Tracer<'a> {
                 }
                 throughput /= survival;
             }
-            match self.free_flight(field, vertex.texel, wi, rng) {
+            match self.medium.free_flight(field, vertex.texel, wi, rng) {
                 Some(next) => vertex = next,
                 None => {
                     radiance += throughput * self.light_by_phase(wi, pdf);
@@ -312,82 +295,6 @@ impl<'a> Tracer<'a> {
             direction = wi;
         }
         [radiance.x, radiance.y, radiance.z, 1.0]
-    }
-
-    /// Delta tracking (Woodcock et al. 1965): the first collision along a world direction.
-    #[inline]
-    fn free_flight<T: Stored>(
-        &self,
-        field: &Field<'_, T>,
-        origin: DVec3,
-        direction: DVec3,
-        rng: &mut Rng,
-    ) -> Option<Vertex> {
-        let step = self.texel_from_direction * direction;
-        let mut depth = rng.exponential();
-        self.majorants
-            .walk(origin, step, |start, length, majorant| {
-                let mut t = 0.0;
-                loop {
-                    let way = depth / majorant;
-                    if t + way >= length {
-                        depth -= (length - t) * majorant;
-                        return ControlFlow::Continue(());
-                    }
-                    t += way;
-                    let texel = start + step * t;
-                    let s = field.sample(texel);
-                    let sigma_t = self.extinction.at(s);
-                    debug_assert!(sigma_t <= majorant * (1.0 + 1e-9), "{sigma_t} > {majorant}");
-                    if rng.uniform() * majorant < sigma_t {
-                        return ControlFlow::Break(Vertex { texel, s });
-                    }
-                    depth = rng.exponential();
-                }
-            })
-    }
-
-    /// Ratio tracking (Novák et al. 2014) with Russian roulette.
-    #[inline]
-    fn transmittance<T: Stored>(
-        &self,
-        field: &Field<'_, T>,
-        origin: DVec3,
-        direction: DVec3,
-        rng: &mut Rng,
-    ) -> f64 {
-        /// Below it a ray survives only by chance.
-        const ROULETTE: f64 = 0.1;
-        let step = self.texel_from_direction * direction;
-        let mut depth = rng.exponential();
-        let mut transmittance = 1.0;
-        let blocked = self
-            .majorants
-            .walk(origin, step, |start, length, majorant| {
-                let mut t = 0.0;
-                loop {
-                    let way = depth / majorant;
-                    if t + way >= length {
-                        depth -= (length - t) * majorant;
-                        return ControlFlow::Continue(());
-                    }
-                    t += way;
-                    let sigma_t = self.extinction.at(field.sample(start + step * t));
-                    transmittance *= (1.0 - sigma_t / majorant).max(0.0);
-                    if transmittance < ROULETTE {
-                        if rng.uniform() * ROULETTE >= transmittance {
-                            return ControlFlow::Break(());
-                        }
-                        transmittance = ROULETTE;
-                    }
-                    depth = rng.exponential();
-                }
-            });
-        if blocked.is_some() {
-            0.0
-        } else {
-            transmittance
-        }
     }
 
     /// How the point scatters light that leaves along `wo`.
@@ -401,12 +308,12 @@ impl<'a> Tracer<'a> {
         let k = self.scene.gradient_factor;
         let surface = (k > 0.0)
             .then(|| {
-                let gradient = field.gradient(vertex.texel, &self.texel_from_direction);
+                let gradient = field.gradient(vertex.texel, &self.medium.texel_from_direction);
                 #[cfg(test)]
                 let gradient = self.fault.gradient(gradient, || {
                     field.gradient(
                         vertex.texel,
-                        &self.texel_from_direction.inverse().transpose(),
+                        &self.medium.texel_from_direction.inverse().transpose(),
                     )
                 });
                 let length = gradient.length();
@@ -463,7 +370,7 @@ impl<'a> Tracer<'a> {
             LightStrategy::Both => draw.pdf + phase.pdf(wo, wi),
             _ => draw.pdf,
         };
-        light * (value / density) * self.transmittance(field, vertex.texel, wi, rng)
+        light * (value / density) * self.medium.transmittance(field, vertex.texel, wi, rng)
     }
 
     /// The environment's radiance along a direction that the phase function drew with density

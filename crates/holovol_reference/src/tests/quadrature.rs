@@ -391,3 +391,25 @@ fn camera_inside_sees_what_lies_ahead() {
         assert_mean("inside", &film(&scene, 400), expected, 3e-3);
     }
 }
+
+#[test]
+fn a_sun_is_found_wherever_it_is_turned_to() {
+    let (width, height) = (16, 8);
+    let mut texels = vec![[0.3, 0.4, 0.5]; width * height];
+    texels[2 * width + 11] = [1e9, 8e8, 6e8];
+    let mut scene = scene(volume([9, 7, 8], bump), two_tissues());
+    scene.environment.map = holovol_light::EnvironmentMap::new(width, height, texels);
+    let fine = Fineness {
+        patch: 2,
+        ..Default::default()
+    };
+    for degrees in [0.0, 30.0, -140.0] {
+        scene.environment.rotation_y = f64::to_radians(degrees);
+        let film = film(&scene, 100);
+        assert_mean("sun", &film, radiance(&scene, fine), 3e-3);
+        // A table that looks elsewhere is unbiased too, but finds the sun by luck only.
+        let [(mean, variance), ..] = mean_and_variance(&film);
+        let noise = variance.sqrt() / mean;
+        assert!(noise < 0.015, "{degrees}°: relative noise {noise}");
+    }
+}
