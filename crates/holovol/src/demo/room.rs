@@ -68,12 +68,12 @@ fn lamps(direction: DVec3) -> Option<DVec3> {
         (dvec3(-1.9, 0.2, 2.0), 0.15),
         (dvec3(0.5, 1.02, 0.9), 0.13),
     ];
-    let hits = LAMPS.iter().filter_map(|&(centre, radius)| {
+    let mut hits = LAMPS.iter().filter_map(|&(centre, radius)| {
         let along = direction.dot(centre);
         let aside = (centre - direction * along).length() / radius;
         (along > 0.0 && aside < 1.0).then(|| LAMP * (0.55 + 0.45 * (1.0 - aside * aside)))
     });
-    hits.last()
+    hits.next()
 }
 
 /// Light on a surface from window, lamps and the rest of the room, with darker corners.

@@ -259,6 +259,13 @@ impl SceneFile {
     /// # Errors
     /// If the text is not JSON, has unknown or missing keys, or a value out of its range.
     pub fn parse(text: &str) -> Result<Self, SceneError> {
+        // Serde would take an array's values for the fields in their order.
+        if text.trim_ascii_start().starts_with('[') {
+            return Err(SceneError::field(
+                "the scene",
+                "is an array; expected an object { … }",
+            ));
+        }
         let mut deserializer = serde_json::Deserializer::from_str(text);
         let file: Self = serde_path_to_error::deserialize(&mut deserializer)
             .map_err(|source| SceneError::from_json(text, source))?;
