@@ -5,6 +5,7 @@
 //! [`Tracer::read_image`] gives the mean so far. The estimator is unbiased: RMSE falls as
 //! 1/√samples without a floor. Paths that outlive a dispatch go on in the next one.
 
+mod check;
 mod uniforms;
 
 use std::time::Instant;
@@ -173,8 +174,9 @@ impl Tracer {
     /// Uploads a scene and compiles the kernel for it.
     ///
     /// # Errors
-    /// If the scene doesn't fit the device, or the device fails.
+    /// If the scene can't be traced or doesn't fit the device, or the device fails.
     pub fn new(gpu: &Gpu, scene: &Scene, options: &TraceOptions) -> Result<Self, RenderError> {
+        check::scene(scene)?;
         let volume = GpuVolume::new(
             gpu,
             &scene.volume,
@@ -280,8 +282,7 @@ impl Tracer {
                     dispatch_uniform.as_entire_binding(),
                     wgpu::BindingResource::TextureView(&volume.view),
                     wgpu::BindingResource::Sampler(&field_sampler),
-                    wgpu::BindingResource::TextureView(&majorants.view),
-                    majorants.occupied.as_entire_binding(),
+                    majorants.buffer.as_entire_binding(),
                     points_buffer.as_entire_binding(),
                     wgpu::BindingResource::TextureView(&environment),
                     alias_buffer.as_entire_binding(),
@@ -344,6 +345,17 @@ impl Tracer {
             self.samples += batch;
         }
         Ok(())
+    }
+
+    /// Starts anew with another seed: no samples, counters at 0, nothing compiled or uploaded again.
+    pub fn restart(&mut self, seed: u64) {
+        let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
+        encoder.clear_buffer(&self.accumulators, 0, None);
+        encoder.clear_buffer(&self.guides, 0, None);
+        self.gpu.queue.submit([encoder.finish()]);
+        self.options.seed = seed;
+        self.samples = 0;
+        self.counters = Counters::default();
     }
 
     /// Samples that every pixel has.
@@ -600,7 +612,6 @@ fn layout(
             texture_3d(filtered)
         },
         wgpu::BindingType::Sampler(sampler),
-        texture_3d(false),
         storage(true),
         storage(true),
         texture_2d(false),
