@@ -143,26 +143,30 @@ impl<'a> Medium<'a> {
         let p = 1.0 - (-k * gradient.length() * spacing).exp();
         let mut n = gradient.normalize();
         n *= n.dot(wo).signum();
-        let (cos_o, cos_i) = (n.dot(wo), n.dot(wi));
-        if cos_i <= 0.0 {
-            return (1.0 - p) * hg;
-        }
-        let fresnel = |c: f64| match material.specular {
-            0.0 => 0.0,
-            f0 => f0 + (1.0 - f0) * (1.0 - c).powf(5.0),
-        };
-        let alpha = material.roughness.powi(2).max(1e-3);
-        let half = (wo + wi).normalize();
-        let tan2 = |c: f64| (1.0 - c * c) / (c * c);
-        let lambda = |c: f64| 0.5 * ((1.0 + alpha * alpha * tan2(c)).sqrt() - 1.0);
-        let cos_h = n.dot(half);
-        let d = 1.0
-            / (PI * alpha.powi(2) * cos_h.powi(4) * (1.0 + tan2(cos_h) / alpha.powi(2)).powi(2));
-        let shadowing = 1.0 / (1.0 + lambda(cos_o) + lambda(cos_i));
-        let bracket = (1.0 - fresnel(cos_o)) * cos_i / PI
-            + d * shadowing * fresnel(half.dot(wo)) / (4.0 * cos_o);
+        let bracket = surface_term(n, wo, wi, material.roughness, material.specular);
         (1.0 - p) * hg + p * bracket
     }
+}
+
+/// The bracket of DESIGN §2.
+pub fn surface_term(n: DVec3, wo: DVec3, wi: DVec3, roughness: f64, specular: f64) -> f64 {
+    let (cos_o, cos_i) = (n.dot(wo), n.dot(wi));
+    if cos_i <= 0.0 {
+        return 0.0;
+    }
+    let fresnel = |c: f64| match specular {
+        0.0 => 0.0,
+        f0 => f0 + (1.0 - f0) * (1.0 - c).powf(5.0),
+    };
+    let alpha = roughness.powi(2).max(1e-3);
+    let half = (wo + wi).normalize();
+    let tan2 = |c: f64| (1.0 - c * c) / (c * c);
+    let lambda = |c: f64| 0.5 * ((1.0 + alpha * alpha * tan2(c)).sqrt() - 1.0);
+    let cos_h = n.dot(half);
+    let d =
+        1.0 / (PI * alpha.powi(2) * cos_h.powi(4) * (1.0 + tan2(cos_h) / alpha.powi(2)).powi(2));
+    let shadowing = 1.0 / (1.0 + lambda(cos_o) + lambda(cos_i));
+    (1.0 - fresnel(cos_o)) * cos_i / PI + d * shadowing * fresnel(half.dot(wo)) / (4.0 * cos_o)
 }
 
 /// World directions with their radiance × solid angle, over the environment.

@@ -207,3 +207,35 @@ fn radiance_over_density_is_bounded_under_a_sun() {
     assert!((mean / (1e9 * texel) - 1.0).abs() < 0.01, "{mean}");
     assert!(largest < 4.1 * mean, "{largest} against a mean of {mean}");
 }
+
+#[test]
+fn scattering_is_its_formula_at_any_angle() {
+    let mut rng = Rng::new(8, 0, 0);
+    let mut random = || {
+        let mut draw = || 2.0 * rng.uniform() - 1.0;
+        DVec3::new(draw(), draw(), draw()).normalize()
+    };
+    for i in 0..4000 {
+        let roughness = [0.05, 0.3, 0.7, 1.0][i % 4];
+        let f0 = [0.0, 0.04, 0.5, 1.0][i / 4 % 4];
+        let weight = [0.2, 1.0][i / 16 % 2];
+        let g: f64 = [0.4, -0.8][i / 32 % 2];
+        let (wo, wi, normal) = (random(), random(), random());
+        let normal = normal * normal.dot(wo).signum();
+        let surface = Surface {
+            weight,
+            normal,
+            alpha: f64::max(roughness * roughness, 1e-3),
+            f0,
+        };
+        let cosine = -wo.dot(wi);
+        let volume = (1.0 - g * g) / (4.0 * PI * (1.0 + g * g - 2.0 * g * cosine).powf(1.5));
+        let bracket = super::quadrature::surface_term(normal, wo, wi, roughness, f0);
+        let expected = (1.0 - weight) * volume + weight * bracket;
+        let value = phase(g, Some(surface)).eval(wo, wi);
+        assert!(
+            (value - expected).abs() <= 1e-7 * expected,
+            "{value} is not {expected}: wo {wo}, wi {wi}, n {normal}, roughness {roughness}, F0 {f0}"
+        );
+    }
+}
