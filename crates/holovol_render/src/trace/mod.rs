@@ -138,8 +138,10 @@ const NEARLY_ISOTROPIC: f64 = 0.25;
 const PICKS: u32 = 4;
 /// Cells that a walk crosses in one round.
 const STEPS_PER_ROUND: u32 = 4;
-/// Lanes scatter when one in so many waits for it.
-const SERVE_RATIO: u32 = 2;
+/// Lanes scatter once those that wait, times this, are as many as those that walk.
+const SERVE_RATIO: u32 = 1;
+/// Samples of a pixel in one dispatch, at most.
+const SAMPLES_PER_LANE: u32 = 32;
 /// A dispatch should take about this long: well under the watchdog of any driver.
 const DISPATCH_SECONDS: f64 = 0.04;
 
@@ -168,6 +170,8 @@ pub struct Tracer {
     options: TraceOptions,
     samples: u32,
     samples_per_dispatch: f64,
+    /// Lanes that keep the device busy.
+    lanes_wanted: u32,
 }
 
 impl Tracer {
@@ -282,7 +286,8 @@ impl Tracer {
                     dispatch_uniform.as_entire_binding(),
                     wgpu::BindingResource::TextureView(&volume.view),
                     wgpu::BindingResource::Sampler(&field_sampler),
-                    majorants.buffer.as_entire_binding(),
+                    wgpu::BindingResource::TextureView(&majorants.view),
+                    majorants.occupied.as_entire_binding(),
                     points_buffer.as_entire_binding(),
                     wgpu::BindingResource::TextureView(&environment),
                     alias_buffer.as_entire_binding(),
@@ -317,6 +322,10 @@ impl Tracer {
                 options: options.clone(),
                 samples: 0,
                 samples_per_dispatch: 65536.0,
+                lanes_wanted: match gpu.info().device_type {
+                    wgpu::DeviceType::Cpu => 2048,
+                    _ => 1 << 18,
+                },
             },
         )
     }
@@ -329,9 +338,11 @@ impl Tracer {
         let end = self.samples.saturating_add(samples);
         while self.samples < end {
             let [width, height] = self.image_size;
-            let pixels = f64::from(width) * f64::from(height);
-            let batch = (self.samples_per_dispatch / pixels) as u32;
-            let batch = batch.clamp(1, end - self.samples);
+            // Several samples of a pixel by one lane: while its neighbours finish long paths, it
+            // goes on with the next sample.
+            let lanes = f64::from(self.lanes_wanted).min(f64::from(width) * f64::from(height));
+            let batch = (self.samples_per_dispatch / lanes) as u32;
+            let batch = batch.clamp(1, (end - self.samples).min(SAMPLES_PER_LANE));
             let rows = (self.samples_per_dispatch / f64::from(width * batch)) as u32;
             let rows = rows.next_multiple_of(8).clamp(8, height.max(8));
             for y in (0..height).step_by(rows as usize) {
@@ -612,6 +623,7 @@ fn layout(
             texture_3d(filtered)
         },
         wgpu::BindingType::Sampler(sampler),
+        texture_3d(false),
         storage(true),
         storage(true),
         texture_2d(false),

@@ -307,12 +307,14 @@ fn walk_round(path: ptr<function, Path>, lookups: ptr<function, u32>) {
             (*path).weight_sum += weight;
             // One number chooses among all: stretched after each decision, it stays uniform.
             let share = select(0.0, weight / (*path).weight_sum, weight > 0.0);
+            let if_chosen = 1.0 / share;
+            let if_not = 1.0 / (1.0 - share);
             for (var k = 0u; k < PICKS; k += 1u) {
                 let chosen = (*path).xi[k] < share;
                 (*path).chosen_distance[k] = select((*path).chosen_distance[k], distance, chosen);
                 (*path).chosen_s[k] = select((*path).chosen_s[k], s, chosen);
-                let above = ((*path).xi[k] - share) / (1.0 - share);
-                (*path).xi[k] = select(above, (*path).xi[k] / share, chosen);
+                let above = ((*path).xi[k] - share) * if_not;
+                (*path).xi[k] = select(above, (*path).xi[k] * if_chosen, chosen);
             }
 #if EMISSION == 1
             (*path).radiance += (*path).throughput * weight * transfer_emission(s);
