@@ -126,6 +126,16 @@ fn late_large_values_widen_what_was_read_before() {
 }
 
 #[test]
+fn each_chunk_widens_for_all_before_it() {
+    // A chunk of 200s fits u8, one of -1s i8; together they need i16.
+    let mut voxels = vec![200i32; 300_000];
+    voxels.resize(900_000, -1);
+    let volume = good(&Nifti::new(true, false, 8, &[900_000], &voxels).bytes());
+    assert_eq!(volume.voxels().kind(), VoxelKind::I16);
+    assert_eq!(volume.range(), [-1.0, 200.0]);
+}
+
+#[test]
 fn rounded_values_are_named() {
     let notices = |file: Nifti| good(&file.bytes()).notices().join("; ");
     let notice = notices(Nifti::new(
@@ -290,6 +300,8 @@ fn odd_spacings_are_replaced() {
             file.float(76, 104, i + 1, value);
         }
         let volume = good(&file.bytes());
+        // A negative spacing may not mirror.
+        assert!(volume.world_from_unit_cube().determinant() > 0.0);
         let spacing = volume.geometry().spacing();
         assert!(
             (0..3).all(|i| (spacing[i] - expected[i]).abs() < 1e-9),

@@ -160,7 +160,7 @@ fn headers_may_be_written_freely() {
     let mut bytes =
         b"NRRD0005\r\n# note\r\nTYPE: Unsigned Short\r\ndimension: 3\r\nsizes: 3 2 1\r\n".to_vec();
     bytes.extend(
-        b"key:=sizes: 9\r\nEndian: LITTLE\r\nencoding:RAW\r\nmeasurement frame: (1,0,0)\r\n\r\n",
+        b"sizes:=9 9 9\r\nEndian: LITTLE\r\nencoding:RAW\r\nmeasurement frame: (1,0,0)\r\n\r\n",
     );
     bytes.extend(raw);
     assert_eq!(values(&good(&bytes)), field());
@@ -171,6 +171,7 @@ fn spacings_and_units() {
     let spacing = |lines: &[&str]| {
         let lines = [&["encoding: raw"], lines].concat();
         let volume = good(&with(&lines, &all_bytes(&FIELD, false)));
+        assert!(volume.world_from_unit_cube().determinant() > 0.0);
         assert_eq!(volume.geometry().axis_codes(), None);
         let spacing = volume.geometry().spacing().map(|s| (s * 1e9).round() / 1e3);
         (spacing, volume.notices().len())
