@@ -298,7 +298,7 @@ impl<'a> Tracer<'a> {
     }
 
     /// How the point scatters light that leaves along `wo`.
-    fn phase<T: Stored>(
+    pub(crate) fn phase<T: Stored>(
         &self,
         field: &Field<'_, T>,
         vertex: &Vertex,

@@ -2,6 +2,9 @@ use glam::{DMat4, DVec3};
 use holovol_light::EnvironmentMap;
 
 use super::scenes::*;
+use crate::Tracer;
+use crate::field::Field;
+use crate::tracking::Vertex;
 
 #[test]
 fn slab_opacity_is_one_minus_transmittance() {
@@ -165,4 +168,60 @@ fn black_environment_leaves_opacity_only() {
         film(&scene, 4).means().any(|pixel| pixel[2] > 0.0),
         "blue alone is light"
     );
+}
+
+#[test]
+fn surface_share_and_normal_are_those_of_a_ramp() {
+    // s rises by ⅛ per voxel along x; the cube is 2 × 1 × 0.5 m, so the least spacing is 1/16 m.
+    let mut points = vec![point(0.0, 1.0, 1.0)];
+    points[0].roughness = 0.6;
+    points[0].specular = 0.3;
+    let mut scene = scene(volume([8, 4, 8], |at| at.x), points);
+    scene.world_from_unit_cube = DMat4::from_scale(DVec3::new(2.0, 1.0, 0.5));
+    scene.gradient_factor = 20.0;
+    let tracer = Tracer::new(&scene, &settings(1)).expect("a scene");
+    let holovol_volume::Voxels::F32(voxels) = scene.volume.voxels() else {
+        unreachable!("made of f32");
+    };
+    let field = Field::new(&scene, voxels);
+    let vertex = Vertex {
+        texel: DVec3::new(4.2, 2.0, 4.0),
+        s: 0.5,
+    };
+    let material = scene.transfer_function.eval(0.5);
+    for side in [1.0, -1.0] {
+        let wo = DVec3::new(0.6 * side, 0.8, 0.0);
+        let phase = tracer.phase(&field, &vertex, &material, wo);
+        let surface = phase.surface.expect("there is a gradient");
+        // |∇s| = ½ per metre: P = 1 − exp(−20 · ½ / 16).
+        let expected = 1.0 - (-20.0f64 * 0.5 / 16.0).exp();
+        assert!(
+            (surface.weight - expected).abs() < 1e-6,
+            "{}",
+            surface.weight
+        );
+        assert!(
+            (surface.normal - DVec3::X * side).length() < 1e-6,
+            "{}",
+            surface.normal
+        );
+        assert!((surface.alpha - 0.36).abs() < 1e-12 && surface.f0 == 0.3);
+    }
+}
+
+#[test]
+fn film_knows_its_variance() {
+    // Opacity is 0 or 1 with probability p: the mean of n has variance p(1 − p)/n.
+    let scene = homogeneous(0.7, 0.5);
+    let film = film(&scene, 100);
+    let p = -f64::exp_m1(-0.7);
+    let variances = film.variances().map(|variance| variance[3]);
+    let mean = variances.sum::<f64>() / 256.0;
+    let expected = p * (1.0 - p) / 100.0;
+    // 256 estimates of 100 samples each: known to better than 1 %.
+    assert!(
+        (mean / expected - 1.0).abs() < 0.04,
+        "{mean} is not {expected}"
+    );
+    assert_eq!(film.samples(), 100);
 }
