@@ -19,6 +19,12 @@ mod gpu;
 mod layout;
 mod majorant;
 mod shader;
+#[cfg(any(test, feature = "testing"))]
+#[doc(hidden)]
+pub mod shared;
+#[cfg(any(test, feature = "testing"))]
+#[doc(hidden)]
+pub mod testing;
 mod trace;
 mod volume;
 

@@ -42,6 +42,17 @@ pub(crate) const SHARED: &[ShaderFile] = &[
     shader_file!("shared/scattering.wgsl"),
 ];
 
+#[cfg(any(test, feature = "testing"))]
+use crate::testing::source;
+
+#[cfg(not(any(test, feature = "testing")))]
+fn source(file: &ShaderFile) -> Cow<'static, str> {
+    Cow::Borrowed(file.source)
+}
+
+#[cfg(test)]
+pub(crate) mod tests;
+
 /// Composes a kernel with what it imports and validates it; needs no GPU.
 pub(crate) fn compose(file: &ShaderFile, defs: &ShaderDefs) -> Result<naga::Module, RenderError> {
     let failed = |reason: String| RenderError::Internal {
@@ -57,7 +68,7 @@ pub(crate) fn compose(file: &ShaderFile, defs: &ShaderDefs) -> Result<naga::Modu
     );
     for shared in SHARED {
         let added = composer.add_composable_module(ComposableModuleDescriptor {
-            source: shared.source,
+            source: &source(shared),
             file_path: shared.path,
             shader_defs: defs.clone(),
             ..Default::default()
@@ -68,7 +79,7 @@ pub(crate) fn compose(file: &ShaderFile, defs: &ShaderDefs) -> Result<naga::Modu
     }
     composer
         .make_naga_module(NagaModuleDescriptor {
-            source: file.source,
+            source: &source(file),
             file_path: file.path,
             shader_type: ShaderType::Wgsl,
             shader_defs: defs,

@@ -4,12 +4,19 @@
 //! window changes, one small dispatch takes the largest extinction over each cell's range from a
 //! sparse table (range maximum over the points), and the box of cells that are not empty.
 
+#[cfg(any(test, feature = "testing"))]
+pub mod cpu;
+#[cfg(test)]
+mod tests;
+
 use bytemuck::{Pod, Zeroable};
 use holovol_volume::TransferFunction;
 use wgpu::util::DeviceExt;
 
-use crate::shader::shader_file;
+use crate::shader::{ShaderFile, shader_file};
 use crate::{Gpu, GpuVolume, RenderError};
+
+pub(crate) const MAJORANT: ShaderFile = shader_file!("majorant.wgsl");
 
 /// Majorants of a volume under a transfer function.
 pub struct MajorantGrid {
@@ -17,7 +24,7 @@ pub struct MajorantGrid {
     pub(crate) occupied: wgpu::Buffer,
     layout: wgpu::BindGroupLayout,
     majorant_pipeline: wgpu::ComputePipeline,
-    cell_ranges: wgpu::Buffer,
+    pub(crate) cell_ranges: wgpu::Buffer,
     field_view: wgpu::TextureView,
     cells: [u32; 3],
     texels: [u32; 3],
@@ -56,13 +63,12 @@ impl MajorantGrid {
         let cells = texels.map(|n| n.div_ceil(cell_size));
         let count: u64 = cells.iter().map(|&n| u64::from(n)).product();
         let layout = layout(gpu, volume.slices)?;
-        let file = shader_file!("majorant.wgsl");
         let defs = vec![
             ("CELL_SIZE", cell_size),
             ("SLICES", u32::from(volume.slices)),
         ];
-        let range_pipeline = gpu.pipeline(&file, &defs, "cell_range", &layout)?;
-        let majorant_pipeline = gpu.pipeline(&file, &defs, "majorant", &layout)?;
+        let range_pipeline = gpu.pipeline(&MAJORANT, &defs, "cell_range", &layout)?;
+        let majorant_pipeline = gpu.pipeline(&MAJORANT, &defs, "majorant", &layout)?;
         let (texture, cell_ranges, occupied) =
             gpu.scoped("the majorant grid", 12 * count, || {
                 let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {

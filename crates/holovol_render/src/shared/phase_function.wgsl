@@ -18,23 +18,30 @@ fn basis_around(n: vec3<f32>) -> mat3x3<f32> {
     );
 }
 
+// Where the phase function peaks: forward for g > 0, else backward.
+fn phase_peak(g: f32, wo: vec3<f32>) -> vec3<f32> {
+    return select(wo, -wo, g >= 0.0);
+}
+
 fn phase_eval(g: f32, wo: vec3<f32>, wi: vec3<f32>) -> f32 {
-    // (1 - g)^2 + 2 g (1 - cos), with 1 - cos from the difference of the directions: no
-    // cancellation near the forward peak.
-    let difference = wi + wo;
-    let d = (1.0 - g) * (1.0 - g) + g * dot(difference, difference);
+    // (1 - |g|)^2 + 2 |g| (1 - cos), cos from the peak, with 1 - cos from the difference of the
+    // directions: no cancellation there.
+    let difference = wi - phase_peak(g, wo);
+    let d = (1.0 - abs(g)) * (1.0 - abs(g)) + abs(g) * dot(difference, difference);
     return INV_4PI * (1.0 - g * g) / (d * sqrt(d));
 }
 
 fn phase_sample(g: f32, wo: vec3<f32>, xi: vec2<f32>) -> vec3<f32> {
-    // The usual inversion, solved for 1 - cos: nothing cancels at the peak, nothing divides by g.
-    let d = 1.0 + g - 2.0 * g * xi.x;
-    let s = (1.0 - g * g) / d;
-    var one_minus_cos = (1.0 - g) * xi.x * (s + 1.0 - g) / d;
+    // The usual inversion, solved for 1 - cos from the peak: nothing cancels there, nothing divides
+    // by g.
+    let a = abs(g);
+    let d = 1.0 + a - 2.0 * a * xi.x;
+    let s = (1.0 - a * a) / d;
+    var one_minus_cos = (1.0 - a) * xi.x * (s + 1.0 - a) / d;
     one_minus_cos = clamp(one_minus_cos, 0.0, 2.0);
     let cos_theta = 1.0 - one_minus_cos;
     let sin_theta = sqrt(one_minus_cos * (2.0 - one_minus_cos));
     let phi = 2.0 * PI * xi.y;
-    let frame = basis_around(-wo);
+    let frame = basis_around(phase_peak(g, wo));
     return frame * vec3<f32>(sin_theta * cos(phi), sin_theta * sin(phi), cos_theta);
 }

@@ -22,10 +22,13 @@ fn fresnel(specular: f32, cosine: f32) -> f32 {
     return specular + (1.0 - specular) * m2 * m2 * m;
 }
 
-fn ggx_density(alpha: f32, n_h: f32) -> f32 {
+fn ggx_density(alpha: f32, normal: vec3<f32>, h: vec3<f32>) -> f32 {
     let a2 = alpha * alpha;
-    // 1 - n_h^2 (1 - a2), written so that it stays accurate for n_h near 1.
-    let d = (1.0 - n_h * n_h) + n_h * n_h * a2;
+    // 1 - n_h^2 (1 - a2), with the sine squared from a cross product: 1 - n_h^2 has lost all of its
+    // digits where a smooth surface's peak lies.
+    let across = cross(normal, h);
+    let n_h = dot(normal, h);
+    let d = dot(across, across) + n_h * n_h * a2;
     return a2 / (PI * d * d);
 }
 
@@ -46,7 +49,7 @@ fn scatter_eval(g: f32, surface: Surface, wo: vec3<f32>, wi: vec3<f32>) -> f32 {
         var lobe = (1.0 - fresnel(surface.specular, n_o)) * n_i / PI;
         if surface.specular > 0.0 {
             let h = normalize(wo + wi);
-            let d = ggx_density(surface.alpha, dot(surface.normal, h));
+            let d = ggx_density(surface.alpha, surface.normal, h);
             lobe += d * ggx_visibility(surface.alpha, n_o, n_i) * n_i
                 * fresnel(surface.specular, dot(h, wo));
         }
@@ -72,12 +75,14 @@ fn scatter_pdf(g: f32, surface: Surface, wo: vec3<f32>, wi: vec3<f32>) -> f32 {
     if surface.probability > 0.0 {
         let specular = specular_probability(surface, n_o);
         var lobe = (1.0 - specular) * max(n_i, 0.0) / PI;
-        if specular > 0.0 {
-            let h = normalize(wo + wi);
+        // No normal below the surface is drawn; wi = -wo has none.
+        let half = wo + wi;
+        if specular > 0.0 && dot(surface.normal, half) > 0.0 {
+            let h = normalize(half);
             let a2 = surface.alpha * surface.alpha;
             // G1 D / (4 n_o): visible normals, reflected.
             let root = sqrt(a2 + (1.0 - a2) * n_o * n_o);
-            lobe += specular * ggx_density(surface.alpha, dot(surface.normal, h))
+            lobe += specular * ggx_density(surface.alpha, surface.normal, h)
                 * 0.5 / max(n_o + root, 1e-12);
         }
         pdf += surface.probability * lobe;

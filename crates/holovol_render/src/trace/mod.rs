@@ -6,7 +6,11 @@
 //! 1/√samples without a floor. Paths that outlive a dispatch go on in the next one.
 
 mod check;
-mod uniforms;
+#[cfg(any(test, feature = "testing"))]
+pub(crate) mod contract;
+#[cfg(test)]
+pub(crate) mod tests;
+pub(crate) mod uniforms;
 
 use std::time::Instant;
 
@@ -17,7 +21,7 @@ use holovol_volume::CELL_SIZE;
 use wgpu::util::DeviceExt;
 
 use crate::layout::{storage, texture_2d, texture_3d, uniform};
-use crate::shader::{ShaderDefs, shader_file};
+use crate::shader::{ShaderDefs, ShaderFile, shader_file};
 use crate::{Gpu, GpuVolume, MajorantGrid, RenderError};
 use uniforms::{DispatchUniform, SceneUniform, UNROLLED_POINTS, transfer_points};
 
@@ -124,6 +128,8 @@ struct GpuCounters {
     padding: [u32; 2],
 }
 
+pub(crate) const TRACE: ShaderFile = shader_file!("trace.wgsl");
+
 const WORKGROUP_SIZE: u32 = 64;
 /// Samples in the first of a pixel's two sums; f32 keeps 1024 addends to better than 1e-4.
 const FOLD_SAMPLES: u32 = 1024;
@@ -200,10 +206,9 @@ impl Tracer {
 
         let layout = layout(gpu, options.interpolation, volume.slices)?;
         let defs = shader_defs(gpu, scene, options, sampler.is_none(), volume.slices);
-        let file = shader_file!("trace.wgsl");
         let pipelines = [
-            gpu.pipeline(&file, &defs, "trace", &layout)?,
-            gpu.pipeline(&file, &defs, "resume", &layout)?,
+            gpu.pipeline(&TRACE, &defs, "trace", &layout)?,
+            gpu.pipeline(&TRACE, &defs, "resume", &layout)?,
             gpu.pipeline(&crate::fetch::FETCH, &defs, "fetch", &layout)?,
         ];
 
@@ -240,7 +245,7 @@ impl Tracer {
                     mapped_at_creation: false,
                 })
             };
-            let points = transfer_points(scene);
+            let points = transfer_points(&scene.transfer_function);
             let scene_buffer = filled(
                 "holovol scene",
                 bytemuck::bytes_of(&uniform_data),

@@ -2,6 +2,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::{DMat3, DMat4, DVec3};
 use holovol_light::EnvironmentSampler;
 use holovol_scene::Scene;
+use holovol_volume::TransferFunction;
 
 use crate::GpuVolume;
 
@@ -9,26 +10,26 @@ use crate::GpuVolume;
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 pub(crate) struct SceneUniform {
-    ray_origin: [f32; 4],
-    ray_origin_dx: [f32; 4],
-    ray_origin_dy: [f32; 4],
-    ray_texel: [f32; 4],
-    ray_texel_dx: [f32; 4],
-    ray_texel_dy: [f32; 4],
-    ray_world: [f32; 4],
-    ray_world_dx: [f32; 4],
-    ray_world_dy: [f32; 4],
-    forward: [f32; 4],
-    texel_from_world_x: [f32; 4],
-    texel_from_world_y: [f32; 4],
-    texel_from_world_z: [f32; 4],
-    dims: [u32; 4],
-    extent: [f32; 4],
-    cells: [u32; 4],
-    field: [f32; 4],
-    environment: [f32; 4],
-    environment_size: [f32; 4],
-    transfer_density: [[f32; 4]; UNROLLED_POINTS],
+    pub ray_origin: [f32; 4],
+    pub ray_origin_dx: [f32; 4],
+    pub ray_origin_dy: [f32; 4],
+    pub ray_texel: [f32; 4],
+    pub ray_texel_dx: [f32; 4],
+    pub ray_texel_dy: [f32; 4],
+    pub ray_world: [f32; 4],
+    pub ray_world_dx: [f32; 4],
+    pub ray_world_dy: [f32; 4],
+    pub forward: [f32; 4],
+    pub texel_from_world_x: [f32; 4],
+    pub texel_from_world_y: [f32; 4],
+    pub texel_from_world_z: [f32; 4],
+    pub dims: [u32; 4],
+    pub extent: [f32; 4],
+    pub cells: [u32; 4],
+    pub field: [f32; 4],
+    pub environment: [f32; 4],
+    pub environment_size: [f32; 4],
+    pub transfer_density: [[f32; 4]; UNROLLED_POINTS],
 }
 
 /// Transfer functions of more points are searched instead of unrolled.
@@ -53,9 +54,9 @@ pub(crate) struct DispatchUniform {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 pub(crate) struct GpuTransferPoint {
-    density: [f32; 4],
-    albedo: [f32; 4],
-    emission: [f32; 4],
+    pub density: [f32; 4],
+    pub albedo: [f32; 4],
+    pub emission: [f32; 4],
 }
 
 fn vec4(v: DVec3, w: f64) -> [f32; 4] {
@@ -81,7 +82,10 @@ impl SceneUniform {
         let [x, y, z] = volume.texels();
         let s_from_texel = volume.s_from_texel(&scene.volume, scene.window);
         let mut transfer_density = [[0.0; 4]; UNROLLED_POINTS];
-        for (density, point) in transfer_density.iter_mut().zip(transfer_points(scene)) {
+        for (density, point) in transfer_density
+            .iter_mut()
+            .zip(transfer_points(&scene.transfer_function))
+        {
             *density = point.density;
         }
         let environment = &scene.environment;
@@ -156,8 +160,8 @@ fn near_depth(scene: &Scene) -> f64 {
 }
 
 /// The points as kernels want them; never empty.
-pub(crate) fn transfer_points(scene: &Scene) -> Vec<GpuTransferPoint> {
-    let points = scene.transfer_function.points();
+pub(crate) fn transfer_points(transfer_function: &TransferFunction) -> Vec<GpuTransferPoint> {
+    let points = transfer_function.points();
     let rgbw = |rgb: [f64; 3], w: f64| [rgb[0] as f32, rgb[1] as f32, rgb[2] as f32, w as f32];
     let next = points.iter().skip(1).chain(points.last());
     points

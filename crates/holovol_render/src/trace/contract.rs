@@ -1,0 +1,93 @@
+//! Runs single functions of the tracer's kernel, under a scene's own bindings and definitions.
+
+use bytemuck::Zeroable;
+use holovol_light::EnvironmentSampler;
+use holovol_scene::Scene;
+
+use super::uniforms::DispatchUniform;
+use super::{Entry, TraceOptions, Tracer, WORKGROUP_SIZE, shader_defs};
+use crate::shader::{ShaderFile, shader_file};
+use crate::{Gpu, RenderError};
+
+/// Four vectors, in or out of one lane.
+pub type Lane = [[f32; 4]; 4];
+
+pub(crate) const CONTRACT: ShaderFile = shader_file!("contract.wgsl");
+
+/// A tracer whose buffers carry the inputs and outputs of single functions.
+pub struct Contract {
+    gpu: Gpu,
+    scene: Scene,
+    options: TraceOptions,
+    tracer: Tracer,
+    lanes: u32,
+}
+
+impl Contract {
+    /// Prepares up to `lanes` calls at once on the bindings of a scene.
+    ///
+    /// # Errors
+    /// As [`Tracer::new`].
+    pub fn new(
+        gpu: &Gpu,
+        scene: &Scene,
+        options: &TraceOptions,
+        lanes: u32,
+    ) -> Result<Self, RenderError> {
+        let mut scene = scene.clone();
+        // Two accumulators and three guides per pixel make room for four vectors a lane.
+        scene.camera.width = 2 * lanes;
+        scene.camera.height = 1;
+        let options = TraceOptions {
+            guides: true,
+            ..options.clone()
+        };
+        Ok(Self {
+            gpu: gpu.clone(),
+            tracer: Tracer::new(gpu, &scene, &options)?,
+            scene,
+            options,
+            lanes,
+        })
+    }
+
+    /// The tracer.
+    pub fn tracer(&self) -> &Tracer {
+        &self.tracer
+    }
+
+    /// Calls an entry point of `contract.wgsl` once for each input.
+    ///
+    /// # Errors
+    /// If the kernel doesn't compile or the device is lost.
+    ///
+    /// # Panics
+    /// If there are more inputs than lanes.
+    pub fn call(&mut self, entry: &str, inputs: &[Lane]) -> Result<Vec<Lane>, RenderError> {
+        assert!(inputs.len() <= self.lanes as usize, "a lane for each input");
+        let map = &self.scene.environment.map;
+        let no_density = map.as_constant().is_some() || EnvironmentSampler::new(map).is_none();
+        let slices = self.tracer.volume.slices;
+        let defs = shader_defs(&self.gpu, &self.scene, &self.options, no_density, slices);
+        let tracer = &mut self.tracer;
+        let layout = tracer.pipelines[Entry::Trace as usize].get_bind_group_layout(0);
+        let pipeline = self.gpu.pipeline(&CONTRACT, &defs, entry, &layout)?;
+        let shipped = std::mem::replace(&mut tracer.pipelines[Entry::Fetch as usize], pipeline);
+        let contents = bytemuck::cast_slice(inputs);
+        self.gpu
+            .queue
+            .write_buffer(&tracer.accumulators, 0, contents);
+        let uniform = DispatchUniform {
+            budget: inputs.len() as u32,
+            ..DispatchUniform::zeroed()
+        };
+        let groups = (inputs.len() as u32).div_ceil(WORKGROUP_SIZE);
+        let done = tracer.submit(&uniform, Entry::Fetch, 0, [groups, 1]);
+        tracer.pipelines[Entry::Fetch as usize] = shipped;
+        done?;
+        let bytes = self
+            .gpu
+            .read_buffer("outputs", &tracer.guides, size_of_val(inputs) as u64)?;
+        Ok(bytemuck::pod_collect_to_vec(&bytes))
+    }
+}
