@@ -5,6 +5,9 @@ use holovol_scene::Scene;
 
 use crate::RenderError;
 
+/// Between the view and `up`: below, rounding decides which way is up.
+const SMALLEST_SINE: f64 = 1e-9;
+
 /// Fails on scenes that would put NaN or infinity into every path.
 pub(crate) fn scene(scene: &Scene) -> Result<(), RenderError> {
     let determinant = DMat3::from_mat4(scene.world_from_unit_cube).determinant();
@@ -42,7 +45,9 @@ pub(crate) fn scene(scene: &Scene) -> Result<(), RenderError> {
     let rays = camera.pixel_rays(DMat4::IDENTITY);
     let directions = [rays.direction, rays.direction_dx, rays.direction_dy];
     let is_finite = rays.origin.is_finite() && directions.iter().all(|d| d.is_finite());
-    if !is_finite || camera.width == 0 || camera.height == 0 {
+    let forward = (camera.target - camera.eye).normalize_or_zero();
+    let has_up = forward.cross(camera.up.normalize_or_zero()).length() > SMALLEST_SINE;
+    if !is_finite || !has_up || camera.width == 0 || camera.height == 0 {
         return refuse(
             "camera",
             format!(
