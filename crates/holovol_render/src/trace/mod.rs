@@ -23,7 +23,9 @@ use wgpu::util::DeviceExt;
 use crate::layout::{storage, texture_2d, texture_3d, uniform};
 use crate::shader::{ShaderDefs, ShaderFile, shader_file};
 use crate::{Gpu, GpuVolume, MajorantGrid, RenderError};
-use uniforms::{DispatchUniform, SceneUniform, UNROLLED_POINTS, transfer_points};
+use uniforms::{
+    DispatchUniform, SceneUniform, UNROLLED_POINTS, kernel_seed, transfer_points,
+};
 
 /// How values between voxel centres are found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -454,14 +456,13 @@ impl Tracer {
         tile_size: [u32; 2],
         [sample_start, sample_end]: [u32; 2],
     ) -> Result<(), RenderError> {
-        let [low, high] = [self.options.seed as u32, (self.options.seed >> 32) as u32];
         let mut uniform = DispatchUniform {
             tile_origin,
             tile_size,
             image_size: self.image_size,
             sample_start,
             sample_end,
-            seed: low ^ high.wrapping_mul(0x9e37_79b9),
+            seed: kernel_seed(self.options.seed),
             budget: self.options.budget,
             resumed_paths: 0,
             queue_capacity: QUEUE_CAPACITY,

@@ -183,3 +183,12 @@ pub(crate) fn transfer_points(transfer_function: &TransferFunction) -> Vec<GpuTr
         })
         .collect()
 }
+
+/// What kernels hash of a seed. Seeds below 2³² stay distinct; above, no pattern makes two alike.
+pub(crate) fn kernel_seed(seed: u64) -> u32 {
+    // The finaliser of MurmurHash3 (Appleby 2011), which keeps 0.
+    let mut high = (seed >> 32) as u32;
+    high = (high ^ high >> 16).wrapping_mul(0x85eb_ca6b);
+    high = (high ^ high >> 13).wrapping_mul(0xc2b2_ae35);
+    seed as u32 ^ high ^ high >> 16
+}
