@@ -14,8 +14,11 @@ import math
 import os
 import platform
 import re
+import shlex
+import subprocess
 import sys
 import time
+from datetime import datetime, timezone
 from pathlib import Path
 
 # A module of this name would hide the package; this folder comes first on the path.
@@ -272,6 +275,21 @@ def cpu_name():
         return platform.processor() or "unknown"
 
 
+def provenance():
+    """When, of which commit, and how: what every report under docs/benchmarks opens with."""
+    here = Path(__file__).resolve().parent
+    described = ["git", "-C", str(here), "describe", "--always", "--dirty", "--abbrev=12"]
+    commit = subprocess.run(described, check=False, capture_output=True, text=True).stdout.strip()
+    words = [Path(sys.argv[0]).name, *sys.argv[1:]]
+    # An absolute path as seen from the checkout: a report names no machine's folders.
+    words = [os.path.relpath(word, here.parent.parent) if word.startswith("/") else word for word in words]
+    return {
+        "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "commit": commit or "unknown",
+        "command": shlex.join([f"bench/peers/{words[0]}", *words[1:]]),
+    }
+
+
 def parse_arguments():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", type=Path, help="scene file; X.ref.exr and X.ref.json are looked for beside X.json")
@@ -318,6 +336,8 @@ def main():
     per_render = sum(seconds) / len(seconds)
 
     report = {
+        **provenance(),
+        "load_average": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "renderer": f"Mitsuba {mi.__version__} {args.variant} {args.integrator}",
         "scene": args.scene.stem,
         "cpu": cpu_name(),

@@ -13,7 +13,6 @@ import shlex
 import subprocess
 import sys
 import tempfile
-from datetime import datetime, timezone
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -106,17 +105,6 @@ def measure(peer, scene, args):
     }
 
 
-def commit():
-    state = ["git", "-C", str(HERE), "describe", "--always", "--dirty", "--abbrev=12"]
-    result = subprocess.run(state, check=False, capture_output=True, text=True)
-    return result.stdout.strip() or "unknown"
-
-
-def from_checkout(argument):
-    """An absolute path as seen from the checkout: a report names no machine's folders."""
-    return os.path.relpath(argument, HERE.parent.parent) if argument.startswith("/") else argument
-
-
 def parse_arguments():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     target = os.environ.get("CARGO_TARGET_DIR", Path.home() / ".cache/holovol/target")
@@ -138,9 +126,7 @@ def main():
     if not args.holovol.is_file():
         sys.exit(f"ratio.py: {args.holovol}: no such binary; build it with cargo build --release -p holovol")
     report = {
-        "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        "commit": commit(),
-        "command": shlex.join(["bench/peers/ratio.py", *map(from_checkout, sys.argv[1:])]),
+        **peer.provenance(),
         "scenes": [measure(peer, scene, args) for scene in args.scenes],
     }
     text = json.dumps(report, indent=2)
