@@ -1,0 +1,171 @@
+//! Seeds, budgets, dispatches and sums at their limits.
+
+use holovol_render::TraceOptions;
+
+use crate::fields::*;
+use crate::gpu::{
+    Test, assert_clean, assert_mean, image, mean_and_deviation, options, picture, tracer,
+};
+
+pub fn tests() -> Vec<Test> {
+    vec![
+        (
+            "same_seed_gives_the_same_bits",
+            same_seed_gives_the_same_bits,
+        ),
+        ("seeds_at_their_limits_differ", seeds_at_their_limits_differ),
+        (
+            "small_budgets_give_the_same_bits",
+            small_budgets_give_the_same_bits,
+        ),
+        ("full_queues_lose_no_path", full_queues_lose_no_path),
+        (
+            "a_million_samples_do_not_stall",
+            a_million_samples_do_not_stall,
+        ),
+        (
+            "sample_counts_do_not_overflow",
+            sample_counts_do_not_overflow,
+        ),
+        (
+            "images_of_any_shape_are_whole",
+            images_of_any_shape_are_whole,
+        ),
+    ]
+}
+
+fn busy_scene() -> holovol_scene::Scene {
+    let mut scene = blob_scene();
+    scene.gradient_factor = 1.0;
+    scene.phase_g = 0.5;
+    scene.integrator.max_scatters = None;
+    scene
+}
+
+fn same_seed_gives_the_same_bits() {
+    let scene = busy_scene();
+    let whole = picture(&scene, &options(), 12);
+    assert_eq!(whole, picture(&scene, &options(), 12));
+    // In parts, and after a restart.
+    let mut tracer = tracer(&scene, &options());
+    for more in [1, 4, 7] {
+        tracer.accumulate(more).expect("samples");
+    }
+    assert_eq!(tracer.samples_per_pixel(), 12);
+    assert_eq!(whole, image(&tracer));
+    tracer.restart(options().seed + 1);
+    tracer.accumulate(12).expect("samples");
+    assert_ne!(whole, image(&tracer));
+    tracer.restart(options().seed);
+    tracer.accumulate(12).expect("samples");
+    assert_eq!(whole, image(&tracer));
+    let without = TraceOptions {
+        subgroups: false,
+        ..options()
+    };
+    assert_eq!(whole, picture(&scene, &without, 12));
+}
+
+fn seeds_at_their_limits_differ() {
+    let scene = busy_scene();
+    let seeds = [
+        0,
+        1,
+        u64::MAX,
+        u64::MAX - 1,
+        1 << 32,
+        1 << 63,
+        u64::from(u32::MAX),
+    ];
+    let mut tracer = tracer(&scene, &options());
+    let mut seen = Vec::new();
+    for seed in seeds {
+        tracer.restart(seed);
+        tracer.accumulate(2).expect("samples");
+        assert_clean("seed", &tracer.counters());
+        let image = image(&tracer);
+        assert!(!seen.contains(&image), "seed {seed:#x} repeats another");
+        seen.push(image);
+    }
+}
+
+fn small_budgets_give_the_same_bits() {
+    let scene = busy_scene();
+    let expected = picture(&scene, &options(), 6);
+    for budget in [1, 7, 64] {
+        let options = TraceOptions {
+            budget,
+            ..options()
+        };
+        let mut tracer = tracer(&scene, &options);
+        tracer.accumulate(6).expect("samples");
+        assert_clean("budget", &tracer.counters());
+        assert!(tracer.counters().continued_paths > 0, "budget {budget}");
+        assert_eq!(expected, image(&tracer), "budget {budget}");
+    }
+}
+
+/// More paths at once than can be saved: the rest go on where they are.
+fn full_queues_lose_no_path() {
+    let mut scene = busy_scene();
+    (scene.camera.width, scene.camera.height) = (320, 320);
+    let expected = picture(&scene, &options(), 1);
+    let small = TraceOptions {
+        budget: 4,
+        ..options()
+    };
+    let mut tracer = tracer(&scene, &small);
+    tracer.accumulate(1).expect("samples");
+    assert_eq!(expected, image(&tracer));
+}
+
+fn a_million_samples_do_not_stall() {
+    let mut scene = homogeneous(1.0, 0.5);
+    (scene.camera.width, scene.camera.height) = (4, 4);
+    let mut tracer = tracer(&scene, &options());
+    tracer.accumulate(1_000_000).expect("samples");
+    assert_clean("a million samples", &tracer.counters());
+    let image = image(&tracer);
+    // A single f32 sum would stall at 2^24 and err by per cents long before.
+    assert_mean("a million samples", &image, 3, -f64::exp_m1(-1.0), 2e-5);
+    for [.., opacity] in image.pixels() {
+        let off = f64::from(*opacity) + f64::exp_m1(-1.0);
+        assert!(off.abs() < 1e-4, "one pixel's opacity is off by {off:e}");
+    }
+}
+
+fn sample_counts_do_not_overflow() {
+    // Nothing to trace: four thousand million samples would take years otherwise.
+    let mut scene = homogeneous(1.0, 0.5);
+    (scene.camera.width, scene.camera.height) = (1, 1);
+    let mut tracer = tracer(&scene, &options());
+    tracer.accumulate(0).expect("no samples");
+    assert_eq!(tracer.samples_per_pixel(), 0);
+    assert_eq!(image(&tracer).pixels(), [[0.0; 4]]);
+    tracer.accumulate(1).expect("a sample");
+    tracer.accumulate(2).expect("samples");
+    assert_eq!(tracer.samples_per_pixel(), 3);
+}
+
+/// Every pixel of wide, tall and odd images has its samples, none twice.
+fn images_of_any_shape_are_whole() {
+    for (width, height) in [(1, 1), (1, 300), (300, 1), (65, 7), (9, 17), (4099, 3)] {
+        let mut scene = homogeneous(1e4, 0.5);
+        scene.environment = uniform_light(0.0);
+        (scene.camera.width, scene.camera.height) = (width, height);
+        scene.camera.fov_y = 1e-6;
+        let image = picture(&scene, &options(), 3);
+        let is_whole = |pixel: &[f32; 4]| (pixel[3] - 1.0).abs() < 1e-5;
+        let missing = image
+            .pixels()
+            .iter()
+            .filter(|pixel| !is_whole(pixel))
+            .count();
+        assert_eq!(
+            missing,
+            0,
+            "{width} × {height}: {:?}",
+            mean_and_deviation(&image)[3]
+        );
+    }
+}
