@@ -59,18 +59,62 @@ refresh_apt_lists() {
     apt_lists_are_fresh=true
 }
 
+apt_install() {
+    local install=(apt-get install -y --no-install-recommends --no-remove "$@")
+    say "running ${install[*]}"
+    as_root env DEBIAN_FRONTEND=noninteractive "${install[@]}" -qq >&2
+}
+
+is_debian_12() { grep -qx 'ID=debian' /etc/os-release && grep -qx 'VERSION_CODENAME=bookworm' /etc/os-release; } 2>/dev/null
+
+# Debian 12's own Mesa 22.3 renders our kernels right, but llvmpipe takes 6 times as long as in the 25.0
+# of its backports. Those come from the mirror in use; apt prefers them nowhere unless asked by name.
+install_mesa() {
+    local site list=/etc/apt/sources.list.d/holovol-backports.list
+    # shellcheck disable=SC2016 # apt's own placeholders
+    local targets=(apt-get indextargets --format '$(SITE)' 'Created-By: Packages' 'Component: main')
+    if is_debian_12; then
+        if [[ -z $("${targets[@]}" 'Codename: bookworm-backports') ]]; then
+            site=$("${targets[@]}" 'Codename: bookworm' | sed -n 1p)
+            if [[ -n $site ]]; then
+                say "adding $list: Debian 12's own Mesa is 6 times slower than its backports'"
+                echo "deb $site bookworm-backports main" | as_root tee "$list" >/dev/null
+                as_root apt-get update -qq >&2 || true
+                if [[ -z $("${targets[@]}" 'Codename: bookworm-backports') ]]; then
+                    say "cannot reach the backports: taking Debian 12's own Mesa"
+                    as_root rm -f "$list"
+                fi
+            fi
+        fi
+        if [[ -n $("${targets[@]}" 'Codename: bookworm-backports') ]]; then
+            apt_install --target-release bookworm-backports mesa-vulkan-drivers && return
+            say "the backports' Mesa does not install: taking Debian 12's own"
+        fi
+    fi
+    apt_install mesa-vulkan-drivers
+}
+
 # Installs `packages`; never removes a package to make room for another.
 install_packages() {
     ((${#packages[@]})) || return 0
-    local install=(apt-get install -y --no-install-recommends --no-remove "${packages[@]}")
     $may_install || die "not installing, as asked; install the above, or leave out --no-install"
     command -v apt-get >/dev/null ||
         die "there is no apt-get here; install the like of the above with this system's package manager"
     can_be_root ||
-        die "installing needs root, and there is no sudo; as root, run: apt-get update && ${install[*]}"
-    say "running ${install[*]}"
+        die "installing needs root, and there is no sudo; as root, run: apt-get update && apt-get install -y --no-install-recommends ${packages[*]}"
     refresh_apt_lists
-    as_root env DEBIAN_FRONTEND=noninteractive "${install[@]}" -qq >&2
+    local package others=() mesa=false
+    for package in "${packages[@]}"; do
+        if [[ $package == mesa-vulkan-drivers ]]; then
+            mesa=true
+        else
+            others+=("$package")
+        fi
+    done
+    ((${#others[@]} == 0)) || apt_install "${others[@]}"
+    if $mesa; then
+        install_mesa
+    fi
     packages=()
 }
 
@@ -149,7 +193,6 @@ has_gpu() {
 }
 
 # A machine with a GPU and any driver is left alone; another gets Mesa, whose llvmpipe runs on the CPU.
-# Seen working with our kernels: Mesa 22.3 (Debian 12's own) and 25.0 (its backports).
 need_vulkan() {
     [[ $(uname -s) == Linux ]] || return 0
     local loader=(/usr/lib/libvulkan.so.1 /usr/lib/*/libvulkan.so.1 /usr/lib64/libvulkan.so.1 /usr/local/lib/libvulkan.so.1)
@@ -162,6 +205,8 @@ need_vulkan() {
         if ! has_gpu || [[ -z $(vulkan_drivers '*.json') ]]; then
             need "Vulkan driver; without a GPU it renders on the CPU" mesa-vulkan-drivers
         fi
+    elif ! has_gpu && [[ $(dpkg-query -W -f '${Version}' mesa-vulkan-drivers 2>/dev/null) == 22.* ]]; then
+        say "note: this Mesa is 6 times slower than the one in bookworm-backports; it stays, since it is installed"
     fi
 }
 
