@@ -17,6 +17,18 @@ const WALK_LEFT: u32 = 2u;
 var<private> low_cell: vec3<i32>;
 var<private> high_cell: vec3<i32>;
 
+#if STATISTICS == 1
+var<private> cells_entered: u32 = 0u;
+#endif
+
+fn walk_cells_entered() -> u32 {
+#if STATISTICS == 1
+    return cells_entered;
+#else
+    return 0u;
+#endif
+}
+
 fn load_occupied() {
     low_cell = vec3<i32>(occupied.low_x, occupied.low_y, occupied.low_z);
     high_cell = vec3<i32>(occupied.high_x, occupied.high_y, occupied.high_z);
@@ -75,6 +87,9 @@ fn walk_start(origin: vec3<f32>, direction: vec3<f32>, t_start: f32, tau: f32) -
         walk.cell = clamp(vec3<i32>(floor(entry / CELL_SIZE)), low_cell, high_cell - 1);
         walk.t_next = walk_next(walk);
         walk.sigma_maj = walk_majorant(walk.cell);
+#if STATISTICS == 1
+        cells_entered += 1u;
+#endif
     }
     return walk;
 }
@@ -110,6 +125,9 @@ fn walk_advance(walk: ptr<function, Walk>, max_steps: u32) -> u32 {
         let next = (CELL_SIZE * (vec3<f32>(cell) + ahead) - (*walk).origin) * inverse;
         (*walk).t_next = select(t_next, next, axis);
         (*walk).sigma_maj = walk_majorant(cell);
+#if STATISTICS == 1
+        cells_entered += 1u;
+#endif
     }
     return WALK_MOVING;
 }

@@ -5,7 +5,7 @@ use holovol_light::EnvironmentSampler;
 use holovol_scene::Scene;
 
 use super::uniforms::DispatchUniform;
-use super::{Entry, TraceOptions, Tracer, WORKGROUP_SIZE, shader_defs};
+use super::{TraceOptions, Tracer, WORKGROUP_SIZE, shader_defs};
 use crate::shader::{ShaderFile, shader_file};
 use crate::{Gpu, RenderError};
 
@@ -70,24 +70,23 @@ impl Contract {
         let slices = self.tracer.volume.slices;
         let defs = shader_defs(&self.gpu, &self.scene, &self.options, no_density, slices);
         let tracer = &mut self.tracer;
-        let layout = tracer.pipelines[Entry::Trace as usize].get_bind_group_layout(0);
-        let pipeline = self.gpu.pipeline(&CONTRACT, &defs, entry, &layout)?;
-        let shipped = std::mem::replace(&mut tracer.pipelines[Entry::Fetch as usize], pipeline);
+        let layout = &tracer.resources.layout;
+        let pipeline = self.gpu.pipeline(&CONTRACT, &defs, entry, layout)?;
         let contents = bytemuck::cast_slice(inputs);
         self.gpu
             .queue
-            .write_buffer(&tracer.accumulators, 0, contents);
+            .write_buffer(&tracer.resources.accumulators, 0, contents);
         let uniform = DispatchUniform {
             budget: inputs.len() as u32,
             ..DispatchUniform::zeroed()
         };
         let groups = (inputs.len() as u32).div_ceil(WORKGROUP_SIZE);
-        let done = tracer.submit(&uniform, Entry::Fetch, 0, [groups, 1]);
-        tracer.pipelines[Entry::Fetch as usize] = shipped;
-        done?;
-        let bytes = self
-            .gpu
-            .read_buffer("outputs", &tracer.guides, size_of_val(inputs) as u64)?;
+        tracer.submit(&uniform, &pipeline, 0, [groups, 1])?;
+        let bytes = self.gpu.read_buffer(
+            "outputs",
+            &tracer.resources.guides,
+            size_of_val(inputs) as u64,
+        )?;
         Ok(bytemuck::pod_collect_to_vec(&bytes))
     }
 }

@@ -1,6 +1,7 @@
 use holovol_volume::{TransferFunction, TransferPoint};
 
-use super::uniforms::{GpuTransferPoint, SceneUniform};
+use super::uniforms::{GpuTransferPoint, SceneUniform, transfer_points};
+use super::variant::SAVED_PATH_VECTORS;
 use super::*;
 use crate::shader::tests::{assert_same_layout, plain, struct_layout};
 

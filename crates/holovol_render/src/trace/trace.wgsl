@@ -18,7 +18,7 @@
 #import holovol_render::scattering::choose_light
 #import holovol_render::walk::{
     Walk, walk_start, walk_advance, walk_distance, walk_next, walk_majorant, WALK_COLLISION,
-    WALK_LEFT, load_occupied,
+    WALK_LEFT, load_occupied, walk_cells_entered,
 }
 
 // What a lane does next.
@@ -463,7 +463,7 @@ fn run(initial: Path) {
     }
 #if STATISTICS == 1
     atomicAdd(&counters.lookups, lookups);
-    atomicAdd(&counters.cells, round);
+    atomicAdd(&counters.cells, walk_cells_entered());
 #endif
 }
 
