@@ -48,6 +48,9 @@ pub enum Command {
     Info(InfoArgs),
     /// Render a phantom that holovol makes itself: no file, GPU or display needed
     Demo(DemoArgs),
+    /// Measure speed and error on this machine
+    #[command(subcommand)]
+    Bench(BenchCommand),
     /// Print a completion script for a shell
     #[command(after_long_help = "\
 Example, for bash:
@@ -213,6 +216,44 @@ pub struct DemoArgs {
     /// What to trace on.
     #[command(flatten)]
     pub device: DeviceArgs,
+}
+
+/// `holovol bench`
+#[derive(Debug, Subcommand)]
+pub enum BenchCommand {
+    /// The tracer against variants of itself, taking turns
+    Trace(BenchTraceArgs),
+}
+
+/// `holovol bench trace`
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Measures, for each scene: lookups and cells per sample; lookups per second, as a share of what a
+kernel that does nothing else reaches; time, error and efficiency against one majorant cell,
+hardware interpolation, plain random numbers, and one lit collision per flight. Then the cost of
+the first scene's field on 64³ to 512³ voxels. On standard output comes one line of JSON.
+
+Example:
+  holovol bench trace iguana_studio.json heptane_linear.json --report trace.md")]
+pub struct BenchTraceArgs {
+    /// Scene files
+    #[arg(value_name = "SCENE.json", required = true)]
+    pub scenes: Vec<PathBuf>,
+    /// Rounds; each runs everything once
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(2..))]
+    pub rounds: u32,
+    /// Samples per pixel of each run
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
+    pub spp: u32,
+    /// Leave out the measurement over volume sizes
+    #[arg(long)]
+    pub no_sizes: bool,
+    /// Also write the results as a Markdown page
+    #[arg(long, value_name = "OUT.md")]
+    pub report: Option<PathBuf>,
+    /// Use the graphics adapter whose name or driver contains this
+    #[arg(long, value_name = "NAME")]
+    pub adapter: Option<String>,
 }
 
 fn parse_seconds(text: &str) -> Result<f64, String> {

@@ -6,6 +6,7 @@
 //! standard error everything for people.
 
 mod backend;
+mod bench;
 pub mod cli;
 mod compare;
 mod demo;
@@ -48,6 +49,7 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
         Command::Compare(args) => compare::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Demo(args) => demo::run(&args),
+        Command::Bench(command) => bench::run(&command),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "holovol", &mut script);

@@ -81,9 +81,24 @@ pub(crate) fn write_exr(image: &Image, path: &Path) -> Result<(), Failure> {
 
 /// Writes a picture as PNG.
 pub(crate) fn write_png(picture: &Picture, path: &Path) -> Result<(), Failure> {
+    write_whole(path, |part| encode(picture, part))
+}
+
+/// Writes a text file.
+pub(crate) fn write_text(text: &str, path: &Path) -> Result<(), Failure> {
+    write_whole(path, |part| {
+        fs::write(part, text).map_err(|error| error.to_string())
+    })
+}
+
+/// Writes beside, then renames: the path never holds half a file.
+fn write_whole(
+    path: &Path,
+    write: impl FnOnce(&Path) -> Result<(), String>,
+) -> Result<(), Failure> {
     let part = part_of(path);
-    let written = encode(picture, &part)
-        .and_then(|()| fs::rename(&part, path).map_err(|error| error.to_string()));
+    let written =
+        write(&part).and_then(|()| fs::rename(&part, path).map_err(|error| error.to_string()));
     written.map_err(|problem| {
         // Nothing more can be done about a leftover that can't be removed either.
         let _ = fs::remove_file(&part);
