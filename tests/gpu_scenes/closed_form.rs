@@ -271,11 +271,11 @@ fn white_furnace_loses_nothing() {
             assert!(SIGMAS * noise < 0.04 * opacity.0, "g {g}: too noisy");
         }
     }
-    let mut scene = homogeneous(40.0, 1.0);
+    let mut scene = homogeneous(20.0, 1.0);
     scene.integrator.max_scatters = None;
     for environment in furnaces() {
         scene.environment = environment;
-        let image = picture(&scene, &options(), effort(64));
+        let image = picture(&scene, &options(), effort(256));
         assert_mean("opaque furnace", &image, 0, 1.0, 1e-4);
     }
 }

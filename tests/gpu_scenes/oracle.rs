@@ -59,6 +59,10 @@ fn surfaces_agree() {
         });
         let what = format!("surface, k {k}, specular {specular}, {scatters} scatterings");
         assert_same(&what, &scene, &options());
+        // Uniform light needs no candidate from the environment: any error of the scattering
+        // direction's density is seen at once.
+        scene.environment = uniform_light(1.0);
+        assert_same(&format!("{what}, uniform light"), &scene, &options());
     }
 }
 

@@ -165,13 +165,12 @@ fn well_spread_samples_beat_white_noise() {
             };
             let ratio = error(false) / error(true);
             eprintln!("{name}, {spp} samples: relMSE is {ratio:.3} of white noise's");
-            assert!(ratio < RATIO, "{name}, {spp} samples: {ratio}");
+            assert!(ratio < 1.0, "{name}, {spp} samples: {ratio}");
         }
     }
 }
-const RATIO: f64 = 1.0;
-
-/// Measured 2026 on Mesa's software Vulkan; texture units with 8-bit weights may do worse.
+/// Off by 5e-7 on Mesa's software Vulkan, which filters in f32; texture units with 8-bit weights
+/// may do worse, but not visibly.
 fn hardware_interpolation_stays_close() {
     for name in ["blob_sun", "sheared", "surface"] {
         let (scene, _) = small(name);

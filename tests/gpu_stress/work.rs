@@ -1,5 +1,6 @@
 //! Seeds, budgets, dispatches and sums at their limits.
 
+use holovol_reference::Image;
 use holovol_render::TraceOptions;
 
 use crate::fields::*;
@@ -24,8 +25,12 @@ pub fn tests() -> Vec<Test> {
             a_million_samples_do_not_stall,
         ),
         (
-            "sample_counts_do_not_overflow",
-            sample_counts_do_not_overflow,
+            "no_samples_are_an_empty_image",
+            no_samples_are_an_empty_image,
+        ),
+        (
+            "guides_and_statistics_change_no_bit",
+            guides_and_statistics_change_no_bit,
         ),
         (
             "images_of_any_shape_are_whole",
@@ -134,17 +139,44 @@ fn a_million_samples_do_not_stall() {
     }
 }
 
-fn sample_counts_do_not_overflow() {
-    // Nothing to trace: four thousand million samples would take years otherwise.
-    let mut scene = homogeneous(1.0, 0.5);
-    (scene.camera.width, scene.camera.height) = (1, 1);
-    let mut tracer = tracer(&scene, &options());
+fn no_samples_are_an_empty_image() {
+    let mut tracer = tracer(&blob_scene(), &options());
     tracer.accumulate(0).expect("no samples");
     assert_eq!(tracer.samples_per_pixel(), 0);
-    assert_eq!(image(&tracer).pixels(), [[0.0; 4]]);
-    tracer.accumulate(1).expect("a sample");
-    tracer.accumulate(2).expect("samples");
-    assert_eq!(tracer.samples_per_pixel(), 3);
+    let is_empty = |image: &Image| image.pixels().iter().all(|pixel| *pixel == [0.0; 4]);
+    assert!(is_empty(&image(&tracer)));
+    tracer.accumulate(3).expect("samples");
+    assert!(!is_empty(&image(&tracer)));
+    tracer.restart(options().seed);
+    assert!(is_empty(&image(&tracer)));
+    assert_eq!(tracer.samples_per_pixel(), 0);
+}
+
+fn guides_and_statistics_change_no_bit() {
+    let scene = busy_scene();
+    let with = TraceOptions {
+        guides: true,
+        statistics: true,
+        ..options()
+    };
+    let mut tracer = tracer(&scene, &with);
+    tracer.accumulate(8).expect("samples");
+    assert_eq!(picture(&scene, &options(), 8), image(&tracer));
+    let counters = tracer.counters();
+    let samples = 8 * u64::from(scene.camera.width * scene.camera.height);
+    assert!(counters.lookups > 0, "{counters:?}");
+    assert!(
+        (1..samples).contains(&counters.covered_samples),
+        "{counters:?}"
+    );
+    // Guides weigh by opacity: theirs is that of the image.
+    let guides = tracer.read_guides().expect("guides");
+    for (guide, pixel) in guides.iter().zip(image(&tracer).pixels()) {
+        assert!(
+            (guide.opacity - pixel[3]).abs() < 1e-4,
+            "{guide:?}, {pixel:?}"
+        );
+    }
 }
 
 /// Every pixel of wide, tall and odd images has its samples, none twice.
