@@ -102,6 +102,6 @@ struct SavedPath {
 @group(0) @binding(10) var<storage, read_write> counters: Counters;
 @group(0) @binding(11) var<storage, read> resumed: array<SavedPath>;
 @group(0) @binding(12) var<storage, read_write> saved: array<SavedPath>;
-// Per pixel, summed like the accumulators: (depth, depth^2, gradient magnitude, weight) and
-// (albedo, 0), (normal, 0).
+// Per pixel, sums of: (depth, depth^2, gradient magnitude, weight), (albedo, not summed: the depth
+// from which the others are measured), (normal, 0).
 @group(0) @binding(13) var<storage, read_write> guides: array<vec4<f32>>;

@@ -86,7 +86,7 @@ impl<'a> Walk<'a> {
 
     /// Whether the ray misses the occupied box.
     pub fn misses(&self) -> bool {
-        !(self.t_end > self.t_cell)
+        self.t_end.is_nan() || self.t_end <= self.t_cell
     }
 
     fn borders(&self, cell: IVec3) -> Vec3 {

@@ -136,18 +136,18 @@ impl SphereCells {
     ) -> Result<(), String> {
         let expected = self.integrals(pdf);
         let total: f64 = expected.iter().sum();
-        if !((total - 1.0).abs() <= slack) {
+        if !is_within(total - 1.0, slack) {
             return Err(format!("the density integrates to {total}"));
         }
         let mut counts = vec![0.0; self.count()];
         for &draw in draws {
-            if !((draw.length() - 1.0).abs() < 1e-5) {
+            if !is_within(f64::from(draw.length() - 1.0), 1e-5) {
                 return Err(format!("{draw} is no direction"));
             }
             counts[self.cell(draw)] += 1.0;
         }
         let deviation = chi_square(&counts, &expected, draws.len() as f64 / total);
-        if !(deviation < MAX_DEVIATION) {
+        if !is_within(deviation.max(0.0), MAX_DEVIATION) {
             return Err(format!(
                 "draws don't follow the density: chi-square is {deviation:.1} standard deviations \
                  too large"
@@ -155,6 +155,11 @@ impl SphereCells {
         }
         Ok(())
     }
+}
+
+/// False for NaN.
+fn is_within(error: f64, slack: f64) -> bool {
+    error.abs() <= slack
 }
 
 /// How many standard deviations chi-square lies above what chance gives; cells that expect less

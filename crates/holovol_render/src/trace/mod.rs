@@ -294,7 +294,7 @@ impl Tracer {
         let mean = |sum: f32| sum / weight;
         let variance = mean(depth[1]) - mean(depth[0]) * mean(depth[0]);
         Guide {
-            depth: mean(depth[0]),
+            depth: albedo[3] + mean(depth[0]),
             spread: variance.max(0.0).sqrt(),
             albedo: [albedo[0], albedo[1], albedo[2]].map(mean),
             gradient_magnitude: mean(depth[2]),

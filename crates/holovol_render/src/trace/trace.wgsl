@@ -202,8 +202,12 @@ fn add_guides(
     let gradient = field_gradient(texel);
     let magnitude = length(gradient);
     let base = 3u * pixel;
-    guides[base] += weight * vec4<f32>(depth, depth * depth, magnitude, 1.0);
-    guides[base + 1u] += weight * vec4<f32>(albedo, 0.0);
+    // Depths from the first one on: their variance outlives the rounding of sums.
+    let sums = guides[base];
+    let first = select(guides[base + 1u].w, depth, sums.w == 0.0);
+    let behind = depth - first;
+    guides[base] = sums + weight * vec4<f32>(behind, behind * behind, magnitude, 1.0);
+    guides[base + 1u] = vec4<f32>(guides[base + 1u].rgb + weight * albedo, first);
     guides[base + 2u] += weight * vec4<f32>(gradient / max(magnitude, 1e-30), 0.0);
 }
 #endif

@@ -1,0 +1,88 @@
+//! Runs the shipped kernels, function by function, on the GPU: they must equal their CPU twins,
+//! draw what they evaluate, and bound what they skip. Then damages them, to see that it shows.
+
+mod determinism;
+mod functions;
+mod grids;
+mod guides;
+mod mutations;
+mod scenes;
+
+use std::sync::Arc;
+
+use holovol_render::Gpu;
+use libtest_mimic::{Arguments, Failed, Trial};
+
+/// Finds something wrong, or not.
+type Check = fn(&Gpu) -> Result<(), String>;
+
+type Body = Box<dyn FnOnce(&Gpu) -> Result<(), String> + Send>;
+
+const CHECKS: &[(&str, Check)] = &[
+    ("random_numbers_equal_the_twin", functions::random_numbers),
+    ("phase_function_equals_the_twin", functions::phase_function),
+    ("surface_equals_the_twin", functions::surface),
+    ("environment_equals_the_twin", functions::environment),
+    ("light_choice_equals_the_twin", functions::light_choice),
+    (
+        "transfer_function_equals_the_twin",
+        functions::transfer_function,
+    ),
+    ("field_equals_the_twin", functions::field),
+    ("walks_equal_the_twin", functions::walks),
+    (
+        "phase_function_draws_what_it_evaluates",
+        functions::phase_draws,
+    ),
+    ("surface_draws_what_it_evaluates", functions::surface_draws),
+    (
+        "environment_draws_what_it_evaluates",
+        functions::environment_draws,
+    ),
+    ("cell_ranges_equal_the_volumes", grids::cell_ranges),
+    (
+        "majorants_equal_the_twin_and_bound_the_field",
+        grids::majorants,
+    ),
+    ("empty_cells_are_left_out", grids::empty_cells),
+    ("same_seed_gives_the_same_bits", determinism::same_bits),
+    ("guides_describe_a_slab", guides::slab),
+    ("guides_give_the_gradient_of_a_ramp", guides::ramp),
+];
+
+fn main() {
+    let mut args = Arguments::from_args();
+    // The device takes all cores.
+    args.test_threads = Some(1);
+    let gpu = if args.list {
+        Err("not opened for a list".to_owned())
+    } else {
+        Gpu::new(None).map_err(|error| error.to_string())
+    };
+    let is_required = std::env::var_os("HOLOVOL_REQUIRE_GPU").is_some_and(|value| value == "1");
+    let is_ignored = gpu.is_err() && !is_required && !args.list;
+    let gpu = Arc::new(gpu);
+    let trial = |name: String, body: Body| {
+        let gpu = Arc::clone(&gpu);
+        Trial::test(name, move || match gpu.as_ref() {
+            Ok(gpu) => body(gpu).map_err(Failed::from),
+            Err(problem) => Err(Failed::from(problem.clone())),
+        })
+        .with_ignored_flag(is_ignored)
+    };
+    let checks = CHECKS
+        .iter()
+        .map(|&(name, check)| trial(name.into(), Box::new(check)));
+    // Each mutation compiles kernels of its own: nightly.
+    let is_nightly = std::env::var_os("HOLOVOL_NIGHTLY").is_some_and(|value| value == "1");
+    let mutations = mutations::MUTATIONS.iter().map(|mutation| {
+        let body = move |gpu: &Gpu| mutation.is_caught(gpu);
+        trial(mutation.name(), Box::new(body))
+    });
+    let mutations = mutations.map(|trial| {
+        let is_ignored = is_ignored || !is_nightly;
+        trial.with_ignored_flag(is_ignored)
+    });
+    let trials = checks.chain(mutations).collect();
+    libtest_mimic::run(&args, trials).exit();
+}

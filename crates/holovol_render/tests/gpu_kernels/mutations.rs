@@ -1,0 +1,234 @@
+//! Damage to the kernels, and the check that must notice it.
+
+use holovol_render::Gpu;
+use holovol_render::testing::Mutation;
+
+use super::{Check, determinism, functions, grids, guides};
+
+/// One damage and who catches it.
+pub struct Caught {
+    damage: Mutation,
+    by: Check,
+}
+
+impl Caught {
+    pub fn name(&self) -> String {
+        let Mutation { path, from, to } = self.damage;
+        format!("caught: {path}: `{from}` as `{to}`")
+    }
+
+    pub fn is_caught(&self, gpu: &Gpu) -> Result<(), String> {
+        match self.damage.during(|| (self.by)(gpu)) {
+            Err(found) => {
+                eprintln!("{}: {found}", self.name());
+                Ok(())
+            }
+            Ok(()) => Err("the kernel is wrong and nothing shows it".into()),
+        }
+    }
+}
+
+const fn caught(path: &'static str, from: &'static str, to: &'static str, by: Check) -> Caught {
+    Caught {
+        damage: Mutation { path, from, to },
+        by,
+    }
+}
+
+const RANDOM: &str = "shared/random.wgsl";
+const PHASE: &str = "shared/phase_function.wgsl";
+const SURFACE: &str = "shared/surface.wgsl";
+const LIGHT: &str = "shared/environment.wgsl";
+const CHOICE: &str = "shared/scattering.wgsl";
+const TRANSFER: &str = "shared/transfer_function.wgsl";
+const FIELD: &str = "shared/field.wgsl";
+const WALK: &str = "shared/walk.wgsl";
+const MAJORANT: &str = "majorant.wgsl";
+const TRACE: &str = "trace.wgsl";
+
+pub const MUTATIONS: &[Caught] = &[
+    caught(RANDOM, "1664525u", "1664527u", functions::random_numbers),
+    caught(
+        RANDOM,
+        "0x05526c56u",
+        "0x05526c57u",
+        functions::random_numbers,
+    ),
+    caught(
+        RANDOM,
+        "0xcccccccc",
+        "0xccccccc8",
+        functions::random_numbers,
+    ),
+    caught(
+        PHASE,
+        "INV_4PI *",
+        "1.05 * INV_4PI *",
+        functions::phase_function,
+    ),
+    caught(
+        PHASE,
+        "select(wo, -wo, g >= 0.0)",
+        "select(-wo, wo, g >= 0.0)",
+        functions::phase_function,
+    ),
+    caught(
+        PHASE,
+        "let d = 1.0 + a - 2.0",
+        "let d = 1.0 + a - 1.9",
+        functions::phase_draws,
+    ),
+    caught(SURFACE, "m2 * m2 * m;", "m2 * m2;", functions::surface),
+    caught(
+        SURFACE,
+        "return 0.5 / max(d",
+        "return 0.525 / max(d",
+        functions::surface,
+    ),
+    caught(
+        SURFACE,
+        "(1.0 - specular) * max(n_i, 0.0) / PI",
+        "max(n_i, 0.0) / PI",
+        functions::surface,
+    ),
+    caught(
+        SURFACE,
+        " && dot(surface.normal, half) > 0.0",
+        "",
+        functions::surface,
+    ),
+    caught(
+        SURFACE,
+        "let radius = sqrt(xi.x)",
+        "let radius = xi.x",
+        functions::surface_draws,
+    ),
+    caught(
+        LIGHT,
+        "(2.0 * PI * PI *",
+        "(1.9 * PI * PI *",
+        functions::environment,
+    ),
+    caught(
+        LIGHT,
+        "select(uv.y, 2.0 - uv.y, uv.y > 1.0)",
+        "uv.y",
+        functions::environment,
+    ),
+    caught(
+        LIGHT,
+        "c * d.x + s * d.z",
+        "c * d.x - s * d.z",
+        functions::environment,
+    ),
+    caught(
+        LIGHT,
+        "xi.x >= bitcast",
+        "xi.x < bitcast",
+        functions::environment_draws,
+    ),
+    caught(
+        CHOICE,
+        "pdf += scatter_share",
+        "pdf += 0.95 * scatter_share",
+        functions::light_choice,
+    ),
+    caught(
+        TRANSFER,
+        "s >= candidate.x",
+        "s > candidate.x",
+        functions::transfer_function,
+    ),
+    caught(
+        TRANSFER,
+        "min(i + 1u, scene",
+        "min(i, scene",
+        functions::transfer_function,
+    ),
+    caught(
+        TRANSFER,
+        "middle].density.x { low",
+        "middle].density.x + 1e-3 { low",
+        functions::transfer_function,
+    ),
+    caught(
+        FIELD,
+        "let corner = texel - 0.5;",
+        "let corner = texel - 0.45;",
+        functions::field,
+    ),
+    caught(FIELD, "let d = 0.5 *", "let d = 0.52 *", functions::field),
+    caught(
+        FIELD,
+        "d.y * scene.texel_from_world_y",
+        "d.y * scene.texel_from_world_z",
+        functions::field,
+    ),
+    caught(
+        WALK,
+        "if (*walk).tau < tau_exit",
+        "if (*walk).tau < 0.95 * tau_exit",
+        functions::walks,
+    ),
+    caught(
+        WALK,
+        "const PARALLEL: f32 = 1e-30",
+        "const PARALLEL: f32 = 20.0",
+        functions::walks,
+    ),
+    caught(
+        MAJORANT,
+        "vec3<i32>(cell) - 1,",
+        "vec3<i32>(cell),",
+        grids::cell_ranges,
+    ),
+    caught(
+        MAJORANT,
+        "+ CELL_SIZE, last",
+        "+ CELL_SIZE - 1, last",
+        grids::cell_ranges,
+    ),
+    caught(MAJORANT, "1.000001", "0.99", grids::majorants),
+    caught(
+        MAJORANT,
+        "RANGE_MARGIN: f32 = 1e-6",
+        "RANGE_MARGIN: f32 = 1e-2",
+        grids::majorants,
+    ),
+    caught(
+        MAJORANT,
+        "range_maximum[row + first]",
+        "0.0",
+        grids::majorants,
+    ),
+    caught(
+        MAJORANT,
+        "0.0, low == high",
+        "RANGE_MARGIN, low == high",
+        grids::empty_cells,
+    ),
+    caught(
+        MAJORANT,
+        "if sigma_maj > 0.0",
+        "if sigma_maj >= 0.0",
+        grids::empty_cells,
+    ),
+    caught(
+        TRACE,
+        "path.counter = w1.y",
+        "path.counter = 0u",
+        determinism::same_bits,
+    ),
+    caught(
+        TRACE,
+        "let depth = before + distance",
+        "let depth = distance",
+        guides::slab,
+    ),
+    caught(
+        TRACE,
+        "gradient / max(magnitude",
+        "-gradient / max(magnitude",
+        guides::ramp,
+    ),
+];
