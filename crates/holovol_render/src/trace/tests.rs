@@ -5,7 +5,7 @@ use super::variant::SAVED_PATH_VECTORS;
 use super::*;
 use crate::shader::tests::{assert_same_layout, plain, struct_layout};
 
-/// What is bound to the kernel, in the order of [`layout`]; the guides come last.
+/// What is bound to the kernel, in the order of their layout; the guides come last.
 pub(crate) const BINDINGS: &[&str] = &[
     "scene",
     "dispatch",
@@ -77,6 +77,19 @@ fn structs_lie_in_memory_as_the_kernel_reads_them() {
             density,
             albedo,
             emission,
+        }
+    );
+    assert_same_layout!(
+        &TRACE,
+        &defs,
+        "Counters",
+        GpuCounters {
+            saved_paths,
+            majorant_violations,
+            nonfinite_samples,
+            lookups,
+            cells,
+            covered_samples,
         }
     );
 }
