@@ -308,7 +308,7 @@ pub(crate) fn plain() -> ShaderDefs {
 }
 
 #[test]
-fn a_missing_import_is_an_error_that_names_the_file() {
+fn a_mistake_is_an_error_that_names_the_file() {
     let file = ShaderFile {
         path: "broken.wgsl",
         source: "@compute @workgroup_size(1) fn f() { nothing(); }",
