@@ -2,6 +2,7 @@
 //! draw what they evaluate, and bound what they skip. Then damages them, to see that it shows.
 
 mod determinism;
+mod draws;
 mod functions;
 mod grids;
 mod guides;
@@ -32,13 +33,10 @@ const CHECKS: &[(&str, Check)] = &[
     ("walks_equal_the_twin", functions::walks),
     (
         "phase_function_draws_what_it_evaluates",
-        functions::phase_draws,
+        draws::phase_function,
     ),
-    ("surface_draws_what_it_evaluates", functions::surface_draws),
-    (
-        "environment_draws_what_it_evaluates",
-        functions::environment_draws,
-    ),
+    ("surface_draws_what_it_evaluates", draws::surface),
+    ("environment_draws_what_it_evaluates", draws::environment),
     ("cell_ranges_equal_the_volumes", grids::cell_ranges),
     (
         "majorants_equal_the_twin_and_bound_the_field",

@@ -3,7 +3,7 @@
 use holovol_render::Gpu;
 use holovol_render::testing::Mutation;
 
-use super::{Check, determinism, functions, grids, guides};
+use super::{Check, determinism, draws, functions, grids, guides};
 
 /// One damage and who catches it.
 pub struct Caught {
@@ -76,7 +76,7 @@ pub const MUTATIONS: &[Caught] = &[
         PHASE,
         "let d = 1.0 + a - 2.0",
         "let d = 1.0 + a - 1.9",
-        functions::phase_draws,
+        draws::phase_function,
     ),
     caught(SURFACE, "m2 * m2 * m;", "m2 * m2;", functions::surface),
     caught(
@@ -101,7 +101,7 @@ pub const MUTATIONS: &[Caught] = &[
         SURFACE,
         "let radius = sqrt(xi.x)",
         "let radius = xi.x",
-        functions::surface_draws,
+        draws::surface,
     ),
     caught(
         LIGHT,
@@ -125,7 +125,7 @@ pub const MUTATIONS: &[Caught] = &[
         LIGHT,
         "xi.x >= bitcast",
         "xi.x < bitcast",
-        functions::environment_draws,
+        draws::environment,
     ),
     caught(
         CHOICE,
