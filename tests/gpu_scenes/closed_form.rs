@@ -111,7 +111,7 @@ fn emission_is_collected_at_every_collision() {
     for n in [Some(0), Some(1), Some(2), Some(5), None] {
         scene.integrator.max_scatters = n;
         let left = n.map_or(0.0, |n| albedo.powi(n as i32 + 1));
-        let image = picture(&scene, &options(), effort(64));
+        let image = picture(&scene, &options(), effort(1024));
         let expected = (1.0 - left) / (1.0 - albedo);
         assert_mean(&format!("{n:?} scatterings"), &image, 0, expected, ROUNDING);
     }
@@ -177,7 +177,7 @@ fn single_scattering(
 
 /// All ways of choosing light directions, for a scene that needs no surface.
 fn strategies() -> [TraceOptions; 3] {
-    [[1, 0], [0, 1], [2, 1]].map(|candidates| TraceOptions {
+    [[1, 0], [0, 1], [1, 1]].map(|candidates| TraceOptions {
         light_candidates: Some(candidates),
         ..options()
     })
@@ -196,7 +196,8 @@ fn single_scattering_is_its_integral_in_a_box() {
     let origin = DVec3::new(0.1, 0.2, 0.5);
     let expected = single_scattering(origin, -DVec3::Z, 1.0, medium, exit);
     for options in strategies() {
-        let image = picture(&scene, &options, effort(128));
+        // So many that a fault of 5 % in one of two mixed densities (1 % of the sum) is seen.
+        let image = picture(&scene, &options, effort(4096));
         // The midpoint rule and the map's own resolution.
         assert_mean("box", &image, 0, expected, 2e-3);
     }

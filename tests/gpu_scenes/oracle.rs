@@ -59,11 +59,26 @@ fn surfaces_agree() {
         });
         let what = format!("surface, k {k}, specular {specular}, {scatters} scatterings");
         assert_same(&what, &scene, &options());
-        // Uniform light needs no candidate from the environment: any error of the scattering
-        // direction's density is seen at once.
+        // Uniform light needs no candidate from the environment: with so little noise, an error of
+        // the scattering direction's density or of the gradient is seen.
         scene.environment = uniform_light(1.0);
-        assert_same(&format!("{what}, uniform light"), &scene, &options());
+        let what = format!("{what}, uniform light");
+        let spp = effort(4 * SPP);
+        let ours = statistics(&what, &scene, &options(), spp / 16);
+        assert_agree(&what, &ours, &reference(&scene, spp));
     }
+    // A shiny furnace: errors add up with every scattering.
+    let mut scene = blob_scene();
+    scene.environment = uniform_light(1.0);
+    scene.gradient_factor = 2.0;
+    scene.integrator.max_scatters = None;
+    let glossy = |s, sigma_t| TransferPoint {
+        specular: 0.9,
+        roughness: 0.7,
+        ..point(s, sigma_t, 1.0)
+    };
+    scene.transfer_function = transfer_function(vec![glossy(0.0, 1.0), glossy(1.0, 12.0)]);
+    assert_same("shiny furnace", &scene, &options());
 }
 
 fn emission_agrees() {

@@ -125,14 +125,24 @@ fn full_queues_lose_no_path() {
 }
 
 fn a_million_samples_do_not_stall() {
-    let mut scene = homogeneous(1.0, 0.5);
+    let mut scene = homogeneous(1.0, 0.0);
+    // Addends that are no binary fraction: a single f32 sum would round each of them.
+    let mut glowing = point(0.0, 1.0, 0.0);
+    glowing.emission = [0.3; 3];
+    scene.transfer_function = transfer_function(vec![glowing]);
     (scene.camera.width, scene.camera.height) = (4, 4);
     let mut tracer = tracer(&scene, &options());
     tracer.accumulate(1_000_000).expect("samples");
     assert_clean("a million samples", &tracer.counters());
     let image = image(&tracer);
-    // A single f32 sum would stall at 2^24 and err by per cents long before.
     assert_mean("a million samples", &image, 3, -f64::exp_m1(-1.0), 2e-5);
+    assert_mean(
+        "a million glowing samples",
+        &image,
+        0,
+        -0.3 * f64::exp_m1(-1.0),
+        2e-4,
+    );
     for [.., opacity] in image.pixels() {
         let off = f64::from(*opacity) + f64::exp_m1(-1.0);
         assert!(off.abs() < 1e-4, "one pixel's opacity is off by {off:e}");
