@@ -136,6 +136,8 @@ struct GpuCounters {
 const SAMPLES_PER_LANE: u32 = 32;
 /// A dispatch should take about this long: well under the watchdog of any driver.
 const DISPATCH_SECONDS: f64 = 0.04;
+/// Software has no watchdog, and its threads wait for each other at the end of each dispatch.
+const SOFTWARE_DISPATCH_SECONDS: f64 = 0.2;
 
 /// A scene on the device, and the samples made of it.
 pub struct Tracer {
@@ -153,6 +155,7 @@ pub struct Tracer {
     samples_per_dispatch: f64,
     /// Lanes that keep the device busy.
     lanes_wanted: u32,
+    dispatch_seconds: f64,
 }
 
 impl Tracer {
@@ -180,6 +183,7 @@ impl Tracer {
         let resources = Resources::new(gpu, scene, options, &volume, &majorants, sampler.as_ref())?;
         let defs = shader_defs(gpu, scene, options, sampler.is_none(), volume.slices);
         let trace_pipeline = gpu.pipeline(&TRACE, &defs, "trace", &resources.layout)?;
+        let software = gpu.info().device_type == wgpu::DeviceType::Cpu;
         let mut tracer = Self {
             gpu: gpu.clone(),
             volume,
@@ -192,9 +196,11 @@ impl Tracer {
             options: options.clone(),
             samples: 0,
             samples_per_dispatch: 65536.0,
-            lanes_wanted: match gpu.info().device_type {
-                wgpu::DeviceType::Cpu => 2048,
-                _ => 1 << 18,
+            lanes_wanted: if software { 2048 } else { 1 << 18 },
+            dispatch_seconds: if software {
+                SOFTWARE_DISPATCH_SECONDS
+            } else {
+                DISPATCH_SECONDS
             },
         };
         // Some drivers compile at the first dispatch: an empty one, so that no sample waits for it.
@@ -222,7 +228,7 @@ impl Tracer {
                 let tile_size = [width, rows.min(height - y)];
                 self.trace_tile([0, y], tile_size, [self.samples, self.samples + batch])?;
                 let seconds = started.elapsed().as_secs_f64();
-                let change = (DISPATCH_SECONDS / seconds.max(1e-6)).clamp(0.5, 2.0);
+                let change = (self.dispatch_seconds / seconds.max(1e-6)).clamp(0.5, 2.0);
                 self.samples_per_dispatch = (self.samples_per_dispatch * change).clamp(4096.0, 1e8);
             }
             self.samples += batch;
