@@ -1,7 +1,8 @@
 //! The tracer against stored pictures: those of an independent renderer over real scans in
 //! `../shared/reference`, and the repository's own small ones in `tests/scenes`.
 //!
-//! `HOLOVOL_NIGHTLY=1` renders with many more samples and a seed of its own, which is printed.
+//! `HOLOVOL_NIGHTLY=1` renders with many more samples and the seed in `HOLOVOL_SEED`, else one from
+//! the clock; it is printed.
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -21,6 +22,9 @@ fn is_nightly() -> bool {
 fn seed() -> u64 {
     if !is_nightly() {
         return 1;
+    }
+    if let Ok(text) = std::env::var("HOLOVOL_SEED") {
+        return text.parse().expect("HOLOVOL_SEED must be a whole number");
     }
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
     now.map_or(1, |since| since.as_nanos() as u64)
