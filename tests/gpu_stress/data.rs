@@ -28,6 +28,10 @@ pub fn tests() -> Vec<Test> {
             constant_volumes_meet_no_rounding,
         ),
         (
+            "constants_on_a_falling_ramp_keep_their_majorant",
+            constants_on_a_falling_ramp_keep_their_majorant,
+        ),
+        (
             "long_volumes_are_reduced_or_refused",
             long_volumes_are_reduced_or_refused,
         ),
@@ -163,6 +167,29 @@ fn constant_volumes_meet_no_rounding() {
             let image = picture(&scene, &options(), effort(64));
             assert_mean("constant", &image, 3, -f64::exp_m1(-2.0), ROUNDING);
         }
+    }
+}
+
+fn constants_on_a_falling_ramp_keep_their_majorant() {
+    // Layers of three cells: the middle one of each sees one value, so that majorant and lookup
+    // are the same number reached on two ways. `picture` fails if the lookup comes out above.
+    const LAYERS: u32 = 80;
+    for round in 0..4u32 {
+        let value = |layer: u32| 0.3 + 0.6 * f64::from(4 * layer + round) / f64::from(4 * LAYERS);
+        let mut scene = scene(
+            volume([1, 1, 24 * LAYERS], |at| {
+                value((at.z * f64::from(LAYERS)) as u32)
+            }),
+            vec![point(0.3, 2.0, 0.5), point(0.9, 0.0, 0.5)],
+        );
+        let image = picture(&scene, &options(), 64);
+        // Steps are symmetric, so that the mean over the layers is all that counts.
+        let mean = (0..LAYERS).map(value).sum::<f64>() / f64::from(LAYERS);
+        let depth = 2.0 * (0.9 - mean) / 0.6;
+        assert_mean("falling ramp", &image, 3, -f64::exp_m1(-depth), 2e-4);
+        scene.transfer_function =
+            transfer_function(vec![point(0.1, 500.0, 0.5), point(0.9, 1e-3, 0.5)]);
+        picture(&scene, &options(), 16);
     }
 }
 

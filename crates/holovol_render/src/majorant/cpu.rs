@@ -7,6 +7,7 @@ use super::range_maximum_table;
 
 const RANGE_MARGIN: f32 = 1e-6;
 const MAJORANT_MARGIN: f32 = 1.000_001;
+const SEGMENT_MARGIN: f32 = 9.5e-7;
 
 /// Majorants of all cells, x fastest.
 #[derive(Clone, Debug)]
@@ -57,7 +58,8 @@ struct Points {
 }
 
 impl Points {
-    fn sigma_t(&self, s: f32) -> f32 {
+    /// sigma_t at s, and the larger end of the segment that s lies within, 0 at a point.
+    fn sigma_t(&self, s: f32) -> [f32; 2] {
         let after = self.points.partition_point(|point| point[0] <= s);
         let low = self.points[after.max(1) - 1];
         let high = self.points[after.min(self.points.len() - 1)];
@@ -66,11 +68,17 @@ impl Points {
         } else {
             0.0
         };
-        low[1] + (high[1] - low[1]) * t
+        let larger = if t > 0.0 { low[1].max(high[1]) } else { 0.0 };
+        [low[1] + (high[1] - low[1]) * t, larger]
     }
 
-    fn largest(&self, low: f32, high: f32) -> f32 {
-        let ends = self.sigma_t(low).max(self.sigma_t(high));
+    fn bound(&self, low: f32, high: f32) -> f32 {
+        let (a, b) = (self.sigma_t(low), self.sigma_t(high));
+        let margin = SEGMENT_MARGIN * a[1].max(b[1]);
+        MAJORANT_MARGIN * self.largest(low, high, a[0].max(b[0])) + margin
+    }
+
+    fn largest(&self, low: f32, high: f32, ends: f32) -> f32 {
         let first = self.points.partition_point(|point| point[0] < low);
         let end = self.points.partition_point(|point| point[0] <= high);
         if end <= first {
@@ -112,7 +120,7 @@ impl Majorants {
                 } else {
                     RANGE_MARGIN * size
                 };
-                MAJORANT_MARGIN * points.largest(low - margin, high + margin)
+                points.bound(low - margin, high + margin)
             })
             .collect();
         let cells = UVec3::from_array(texels.map(|n| n.div_ceil(cell_size)));

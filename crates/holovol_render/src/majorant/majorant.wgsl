@@ -27,6 +27,8 @@ const CELL_SIZE: i32 = #{CELL_SIZE};
 // vertical step of the transfer function could lie just there. A constant cell stays constant.
 const RANGE_MARGIN: f32 = 1e-6;
 const MAJORANT_MARGIN: f32 = 1.000001;
+// Of the larger end of a segment: by so much two ways to interpolate along it may differ.
+const SEGMENT_MARGIN: f32 = 9.5e-7;
 
 fn cell_index(cell: vec3<u32>) -> u32 {
     return cell.x + params.cells.x * (cell.y + params.cells.y * cell.z);
@@ -78,17 +80,19 @@ fn points_below(limit: f32, or_at: bool) -> u32 {
     return low;
 }
 
-fn sigma_t_at(s: f32) -> f32 {
+// x: sigma_t at s; y: the larger end of the segment that s lies within, 0 at a point.
+fn sigma_t_at(s: f32) -> vec2<f32> {
     let after = points_below(s, true);
     let low = points[max(after, 1u) - 1u];
     let high = points[min(after, params.cells.w - 1u)];
     let t = select(0.0, clamp((s - low.x) / (high.x - low.x), 0.0, 1.0), high.x > low.x);
-    return low.y + (high.y - low.y) * t;
+    return vec2<f32>(low.y + (high.y - low.y) * t, select(0.0, max(low.y, high.y), t > 0.0));
 }
 
-// Largest sigma_t over [low, high]: at the ends, or at a point between them.
-fn largest_sigma_t(low: f32, high: f32) -> f32 {
-    var largest = max(sigma_t_at(low), sigma_t_at(high));
+// Bound of sigma_t over [low, high]: taken at the ends, or at a point between them.
+fn bound_sigma_t(low: f32, high: f32) -> f32 {
+    let ends = max(sigma_t_at(low), sigma_t_at(high));
+    var largest = ends.x;
     let first = points_below(low, false);
     let end = points_below(high, true);
     if end > first {
@@ -97,7 +101,7 @@ fn largest_sigma_t(low: f32, high: f32) -> f32 {
         largest = max(largest, range_maximum[row + first]);
         largest = max(largest, range_maximum[row + end - (1u << k)]);
     }
-    return largest;
+    return MAJORANT_MARGIN * largest + SEGMENT_MARGIN * ends.y;
 }
 
 @compute @workgroup_size(4, 4, 4)
@@ -110,7 +114,7 @@ fn majorant(@builtin(global_invocation_id) cell: vec3<u32>) {
     let high = max(ends.x, ends.y);
     let scale = max(1.0, max(abs(low), abs(high)));
     let margin = select(RANGE_MARGIN * scale, 0.0, low == high);
-    let sigma_maj = MAJORANT_MARGIN * largest_sigma_t(low - margin, high + margin);
+    let sigma_maj = bound_sigma_t(low - margin, high + margin);
     textureStore(majorant_texture, cell, vec4<f32>(sigma_maj));
     if sigma_maj > 0.0 {
         for (var axis = 0u; axis < 3u; axis += 1u) {

@@ -12,9 +12,10 @@ pub fn pcg3d([x, y, z]: [u32; 3]) -> [u32; 3] {
     mingle(half.map(|v| v ^ (v >> 16)))
 }
 
-/// 24 bits as a number in [0, 1).
+/// 31 bits as a number in (0, 1), at the middle of their interval.
 pub fn unit_float(bits: u32) -> f32 {
-    (bits >> 8) as f32 * (-24f32).exp2()
+    let whole = (bits >> 1) as f32 * (-31f32).exp2() + (-32f32).exp2();
+    whole.min(1.0 - (-24f32).exp2())
 }
 
 /// Owen scrambling of reversed bits.

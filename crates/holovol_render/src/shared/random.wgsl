@@ -1,8 +1,11 @@
 // Random numbers as a pure function of pixel, sample and dimension.
 #define_import_path holovol_render::random
 
-// 2^-24: 24 random bits make a float in [0, 1) without rounding up to 1.
-const UNIT_FROM_24_BITS: f32 = 5.9604644775390625e-8;
+// 2^-31 and half of it: 31 bits make a float in (0, 1), at the middle of their interval. Small ones
+// keep all their digits: a grid of 2^-24 with 0 would bias events rarer than 1e-5.
+const UNIT_FROM_31_BITS: f32 = 4.656612873077393e-10;
+const HALF_A_STEP: f32 = 2.3283064365386963e-10;
+const BELOW_ONE: f32 = 0.99999994;
 
 // Jarzynski and Olano 2020, "Hash Functions for GPU Rendering", pcg3d.
 fn pcg3d(key: vec3<u32>) -> vec3<u32> {
@@ -18,15 +21,17 @@ fn pcg3d(key: vec3<u32>) -> vec3<u32> {
 }
 
 fn unit_float(bits: u32) -> f32 {
-    return f32(bits >> 8u) * UNIT_FROM_24_BITS;
+    return min(f32(i32(bits >> 1u)) * UNIT_FROM_31_BITS + HALF_A_STEP, BELOW_ONE);
 }
 
 fn unit_float_pair(bits: vec2<u32>) -> vec2<f32> {
-    return vec2<f32>(bits >> vec2<u32>(8u)) * UNIT_FROM_24_BITS;
+    let signed = vec2<i32>(bits >> vec2<u32>(1u));
+    return min(vec2<f32>(signed) * UNIT_FROM_31_BITS + HALF_A_STEP, vec2<f32>(BELOW_ONE));
 }
 
 fn unit_float_triple(bits: vec3<u32>) -> vec3<f32> {
-    return vec3<f32>(bits >> vec3<u32>(8u)) * UNIT_FROM_24_BITS;
+    let signed = vec3<i32>(bits >> vec3<u32>(1u));
+    return min(vec3<f32>(signed) * UNIT_FROM_31_BITS + HALF_A_STEP, vec3<f32>(BELOW_ONE));
 }
 
 // Owen scrambling of reversed bits by a hash that only carries upwards: Laine and Karras 2011,

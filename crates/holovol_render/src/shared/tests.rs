@@ -86,8 +86,10 @@ fn seeds_give_different_sequences_of_uniform_mean() {
 }
 
 #[test]
-fn unit_floats_stay_below_one() {
-    assert_eq!(unit_float(0), 0.0);
+fn unit_floats_lie_between_zero_and_one() {
+    assert_eq!(unit_float(0), (-32f32).exp2());
+    assert_eq!(unit_float(3 << 1), 3.5 * (-31f32).exp2());
+    assert_eq!(unit_float(1 << 31), 0.5);
     assert_eq!(unit_float(u32::MAX), 1.0 - f32::EPSILON / 2.0);
 }
 

@@ -6,6 +6,7 @@ use crate::majorant::cpu::Majorants;
 
 const PARALLEL: f32 = 1e-30;
 const NEVER: f32 = 3e38;
+const LONG_DEPTH: f32 = 4096.0;
 
 /// Where a walk stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -125,6 +126,16 @@ impl<'a> Walk<'a> {
             self.sigma_maj = self.grid.at(cell);
         }
         Event::Moving
+    }
+
+    /// Goes on by `tau`, measured from nearer by where the cell is deep.
+    pub fn deepen(&mut self, tau: f32) {
+        self.tau += tau;
+        if self.tau > LONG_DEPTH {
+            let start = self.t_cell;
+            self.t_cell = self.distance();
+            self.tau -= self.sigma_maj * (self.t_cell - start);
+        }
     }
 
     /// Metres from the origin to the tentative collision.

@@ -132,6 +132,20 @@ fn walk_advance(walk: ptr<function, Walk>, max_steps: u32) -> u32 {
     return WALK_MOVING;
 }
 
+// After so many optical depths in one cell, rounding would favour some steps.
+const LONG_DEPTH: f32 = 4096.0;
+
+// Goes on by tau. In a cell of great depth, measures from nearer by; what t_cell can't express
+// stays in tau, so that nothing is lost.
+fn walk_deepen(walk: ptr<function, Walk>, tau: f32) {
+    (*walk).tau += tau;
+    if (*walk).tau > LONG_DEPTH {
+        let start = (*walk).t_cell;
+        (*walk).t_cell = walk_distance(*walk);
+        (*walk).tau -= (*walk).sigma_maj * ((*walk).t_cell - start);
+    }
+}
+
 // Metres from the origin to the tentative collision.
 fn walk_distance(walk: Walk) -> f32 {
     return walk.t_cell + walk.tau / walk.sigma_maj;

@@ -17,7 +17,7 @@
 #import holovol_render::surface::{Surface, scatter_eval, scatter_pdf, scatter_sample}
 #import holovol_render::scattering::choose_light
 #import holovol_render::walk::{
-    Walk, walk_start, walk_advance, walk_distance, walk_next, walk_majorant, WALK_COLLISION,
+    Walk, walk_start, walk_advance, walk_distance, walk_next, walk_majorant, walk_deepen, WALK_COLLISION,
     WALK_LEFT, load_occupied, walk_cells_entered,
 }
 
@@ -31,7 +31,11 @@ const STAGE_FINISH: u32 = 5u;
 
 // Below this transmittance a walk lives on by chance.
 const ROULETTE_TRANSMITTANCE: f32 = 0.1;
-// A bounce lives on by chance once its throughput has fallen below that of the first collision.
+// 2^-12: what f32 can take off a transmittance again and again without rounding that tells.
+const SMALLEST_WEIGHT: f32 = 0.000244140625;
+// Until then all roundings together stay below 1e-4.
+const MANY_COLLISIONS: u32 = 1024u;
+// Collisions of the camera's flight that are lit.
 const PICKS: u32 = #{PICKS}u;
 const FOLD_SAMPLES: u32 = #{FOLD_SAMPLES}u;
 // Well-spread dimensions: pixel position, first collision, and from here two for each scattering.
@@ -97,7 +101,9 @@ fn texel_from_world(direction: vec3<f32>) -> vec3<f32> {
 }
 
 fn optical_depth_draw(xi: f32) -> f32 {
-    return -log(1.0 - xi);
+    // log is least exact near 1, where drivers are allowed an absolute error.
+    let series = xi * (1.0 + xi * (0.5 + xi * (1.0 / 3.0 + xi * 0.25)));
+    return select(-log(1.0 - xi), series, xi < 0.02);
 }
 
 fn begin_walk(path: ptr<function, Path>, stage: u32, walk: Walk) {
@@ -231,6 +237,14 @@ fn scatter(path: ptr<function, Path>) {
         add_guides((*path).pixel, texel, (*path).wo, distance, material.albedo, (*path).weight_sum);
     }
 #endif
+#if GUIDES == 1
+    if scene.cells.w == 0u {
+        // Emission only: nothing to light.
+        (*path).pick += 1u;
+        (*path).stage = select(STAGE_SCATTER, STAGE_FINISH, (*path).pick == PICKS);
+        return;
+    }
+#endif
     let stream = STREAM_SCATTER + STREAM_STRIDE * (PICKS * (*path).depth + pick);
     let picks = picks_at((*path).depth);
     let dimension = DIMENSION_LIGHT + 2u * (*path).depth;
@@ -252,12 +266,14 @@ fn scatter(path: ptr<function, Path>) {
         let pdf = scatter_pdf(g, surface, (*path).wo, wi);
         (*path).throughput *= select(0.0, scatter_eval(g, surface, (*path).wo, wi) / pdf, pdf > 0.0);
 #endif
+        // Lives on by chance once its throughput has fallen below that of the first collision.
         let alive = max(max((*path).throughput.r, (*path).throughput.g), (*path).throughput.b);
         let lives = unit_float(bits.y) < alive;
         (*path).throughput = select(vec3<f32>(0.0), (*path).throughput / min(alive, 1.0), lives);
 #endif
     }
-    if any((*path).light > vec3<f32>(0.0)) {
+    // Not "> 0": what is not a number must reach the check of the finished sample.
+    if any((*path).light != vec3<f32>(0.0)) {
         let tau = optical_depth_draw(path_random(path).x);
         begin_walk(path, STAGE_SHADOW, walk_start(texel, texel_from_world(choice.wi), 0.0, tau));
         if (*path).walk.t_end <= (*path).walk.t_cell {
@@ -304,8 +320,13 @@ fn walk_round(path: ptr<function, Path>, lookups: ptr<function, u32>) {
         if sigma_t > (*path).walk.sigma_maj {
             atomicAdd(&counters.majorant_violations, 1u);
         }
-        let collision_probability = min(sigma_t / (*path).walk.sigma_maj, 1.0);
+        var collision_probability = min(sigma_t / (*path).walk.sigma_maj, 1.0);
         let xi = path_random(path);
+        if collision_probability < SMALLEST_WEIGHT && (*path).counter > MANY_COLLISIONS {
+            // So many sums and products would round such a weight away: a larger one, seldom.
+            let counts = xi.z * SMALLEST_WEIGHT < collision_probability;
+            collision_probability = select(0.0, SMALLEST_WEIGHT, counts);
+        }
         if (*path).stage == STAGE_FLIGHT {
             let weight = (*path).transmittance * collision_probability;
             (*path).weight_sum += weight;
@@ -333,7 +354,9 @@ fn walk_round(path: ptr<function, Path>, lookups: ptr<function, u32>) {
                 ended = true;
             }
         }
-        (*path).walk.tau += optical_depth_draw(xi.y);
+        var walk = (*path).walk;
+        walk_deepen(&walk, optical_depth_draw(xi.y));
+        (*path).walk = walk;
     }
     if ended {
         if (*path).stage == STAGE_SHADOW {
@@ -343,7 +366,13 @@ fn walk_round(path: ptr<function, Path>, lookups: ptr<function, u32>) {
             if (*path).depth == 0u {
                 (*path).opacity = (*path).weight_sum;
             }
-            let scatters = (*path).weight_sum > 0.0 && (*path).depth < scene.cells.w;
+#if GUIDES == 1
+            // The guides want the first collision even where nothing scatters.
+            let scatters_most = max(scene.cells.w, 1u);
+#else
+            let scatters_most = scene.cells.w;
+#endif
+            let scatters = (*path).weight_sum > 0.0 && (*path).depth < scatters_most;
             (*path).stage = select(STAGE_FINISH, STAGE_SCATTER, scatters);
         }
     }
