@@ -5,6 +5,9 @@ use holovol_render::testing::Mutation;
 
 use super::{Check, determinism, draws, functions, grids, guides};
 
+/// How a failure to compose or compile a kernel begins, see `RenderError::Internal`.
+const INVALID: &str = "internal error in";
+
 /// One damage and who catches it.
 pub struct Caught {
     damage: Mutation,
@@ -19,6 +22,10 @@ impl Caught {
 
     pub fn is_caught(&self, gpu: &Gpu) -> Result<(), String> {
         match self.damage.during(|| (self.by)(gpu)) {
+            // A damage that no compiler accepts shows nothing of the check.
+            Err(found) if found.contains(INVALID) => {
+                Err(format!("the damaged kernel is not valid: {found}"))
+            }
             Err(found) => {
                 eprintln!("{}: {found}", self.name());
                 Ok(())
