@@ -10,7 +10,7 @@ use super::SceneFile;
 #[non_exhaustive]
 pub enum SceneError {
     /// The scene file could not be opened or read.
-    #[error("{path}: cannot read the scene file: {source}")]
+    #[error("{path}: cannot read the scene file: {source}{}", way_out(source))]
     Io {
         /// The file.
         path: PathBuf,
@@ -37,10 +37,12 @@ pub enum SceneError {
         offset: usize,
     },
     /// The text is not JSON.
-    #[error("not valid JSON: {source}")]
+    #[error("not valid JSON: {source}{hint}")]
     Syntax {
         /// What is wrong, with line and column.
         source: serde_json::Error,
+        /// The way out, or nothing.
+        hint: &'static str,
     },
     /// A key that scene files don't have.
     #[error(
@@ -125,6 +127,7 @@ impl SceneError {
         if !error.inner().is_data() {
             return Self::Syntax {
                 source: error.into_inner(),
+                hint: syntax_hint(text),
             };
         }
         if let Some(field) = unsupported_part(text) {
@@ -192,16 +195,54 @@ fn nearest_key(key: &str, expected: &str) -> Option<String> {
     (similarity(nearest) > SIMILAR).then(|| nearest.to_owned())
 }
 
-/// Adds the way out to serde's messages about types.
+/// What a user can do about a file that can't be opened.
+fn way_out(error: &std::io::Error) -> &'static str {
+    use std::io::ErrorKind;
+    match error.kind() {
+        ErrorKind::NotFound => "; check the path, which is relative to the current folder",
+        ErrorKind::PermissionDenied => "; check the file's permissions",
+        ErrorKind::IsADirectory => "; name the scene file in it",
+        _ => "",
+    }
+}
+
+/// What a user may have meant by text that is not JSON.
+pub(super) fn syntax_hint(text: &str) -> &'static str {
+    let text = text.trim_start();
+    if text.is_empty() {
+        "; the file is empty, README shows what a scene file holds"
+    } else if !text.starts_with('{') {
+        "; a scene file is an object { … } (is this the volume instead of the scene?)"
+    } else if text.contains("//") || text.contains("/*") || text.contains("\n#") {
+        "; JSON has no comments"
+    } else if text.contains("NaN") || text.contains("Infinity") {
+        "; JSON has finite numbers only"
+    } else {
+        ""
+    }
+}
+
+/// Serde's messages about types in words for people, with the way out.
 fn with_hint(message: &str) -> String {
     let hint = if message.contains("expected f64") && message.contains("string") {
         "; write a bare number without quotes or a unit (lengths are metres, angles degrees)"
-    } else if message.contains("expected u32") {
-        "; write a whole number from 0 to 4294967295"
     } else if message.contains("expected an array of length") {
         "; give exactly that many numbers"
+    } else if message.starts_with("missing field") {
+        "; add it, README shows a whole scene"
     } else {
         ""
     };
-    format!("{message}{hint}")
+    let place = message.find(" at line").unwrap_or(message.len());
+    let (what, place) = message.split_at(place);
+    let what = what
+        .replace("missing field", "is missing the key")
+        .replace("invalid type: ", "found ")
+        .replace("invalid value: ", "found ")
+        .replace("invalid length ", "found a list of ")
+        .replace("integer ", "")
+        .replace("floating point ", "")
+        .replace("expected f64", "expected a number")
+        .replace("expected u32", "expected a whole number, 0 or above");
+    format!("{what}{place}{hint}")
 }

@@ -251,6 +251,10 @@ impl SceneFile {
     pub const MAX_FRAMES: u32 = 100_000;
     /// Largest distance of anything from the origin, metres.
     pub const MAX_COORDINATE: f64 = 1e12;
+    /// Largest radiance of the light after scaling: products and sums of it stay within f32.
+    pub const MAX_RADIANCE: f64 = 1e30;
+    /// Largest optical depth across one voxel: at 10⁷ a path already takes minutes.
+    pub const MAX_VOXEL_DEPTH: f64 = 1e7;
     /// Largest scene file, bytes.
     pub const MAX_BYTES: u64 = 16 << 20;
 
@@ -259,6 +263,8 @@ impl SceneFile {
     /// # Errors
     /// If the text is not JSON, has unknown or missing keys, or a value out of its range.
     pub fn parse(text: &str) -> Result<Self, SceneError> {
+        // Some editors begin a file with a byte-order mark.
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         // Serde would take an array's values for the fields in their order.
         if text.trim_ascii_start().starts_with('[') {
             return Err(SceneError::field(
@@ -271,7 +277,7 @@ impl SceneFile {
             .map_err(|source| SceneError::from_json(text, source))?;
         deserializer
             .end()
-            .map_err(|source| SceneError::Syntax { source })?;
+            .map_err(|source| SceneError::Syntax { source, hint: "" })?;
         file.validate()?;
         Ok(file)
     }

@@ -106,12 +106,22 @@ impl Sequence {
     ) -> Result<Self, SceneError> {
         let mut notices = file.notices();
         notices.extend(volume.notices().iter().map(|n| format!("volume: {n}")));
+        notices.extend(replaced_voxels(&volume));
         if environment.replaced() > 0 {
             notices.push(format!(
                 "environment: {} of {} texels were NaN, infinite or negative and have been replaced",
                 environment.replaced(),
                 environment.texels().len()
             ));
+        }
+        file.environment
+            .check_peak(peak(&environment), "environment")?;
+        let switch = file.animation.as_ref().and_then(|a| a.switch.as_ref());
+        if let (Some(entry), Some(map)) = (
+            switch.and_then(|switch| switch.environment.as_ref()),
+            &switched_environment,
+        ) {
+            entry.check_peak(peak(map), "animation.switch.environment")?;
         }
         let window = file.volume.window.unwrap_or_else(|| {
             let [lo, hi] = volume.range();
@@ -124,12 +134,24 @@ impl Sequence {
             ));
             [lo, lo + one_more(lo)]
         });
+        let world_from_unit_cube = file
+            .volume
+            .matrix()
+            .unwrap_or_else(|| volume.world_from_unit_cube());
+        let transfer_function = file.transfer_function.resolve("transfer_function")?;
+        let spacing = largest_spacing(world_from_unit_cube, volume.dims());
+        for (function, field) in [
+            (Some(&transfer_function), "transfer_function"),
+            (
+                switched_transfer_function.as_ref(),
+                "animation.switch.transfer_function",
+            ),
+        ] {
+            notices.extend(voxel_depth(function, spacing, field)?);
+        }
         Ok(Self {
-            world_from_unit_cube: file
-                .volume
-                .matrix()
-                .unwrap_or_else(|| volume.world_from_unit_cube()),
-            transfer_function: file.transfer_function.resolve("transfer_function")?,
+            world_from_unit_cube,
+            transfer_function,
             frames: file.animation.as_ref().map_or(1, |a| a.frames),
             file: file.clone(),
             volume,
@@ -259,6 +281,63 @@ fn load_environment(
     EnvironmentMap::load(&base.join(path)).map_err(|source| SceneError::Light {
         field: format!("{field}.path"),
         source,
+    })
+}
+
+/// The brightest channel of a map.
+fn peak(map: &EnvironmentMap) -> f64 {
+    let channels = map.texels().iter().flatten();
+    channels.fold(0.0, |peak, &c| f64::max(peak, c.into()))
+}
+
+/// Longest edge of a voxel, metres.
+fn largest_spacing(world_from_unit_cube: DMat4, dims: [u32; 3]) -> f64 {
+    let edge = |axis: usize| {
+        world_from_unit_cube.col(axis).truncate().length() / f64::from(dims[axis].max(1))
+    };
+    edge(0).max(edge(1)).max(edge(2))
+}
+
+/// A remark if a transfer function makes voxels so dense that tracing takes long; an error if it
+/// would hardly end.
+fn voxel_depth(
+    function: Option<&TransferFunction>,
+    spacing: f64,
+    field: &str,
+) -> Result<Option<String>, SceneError> {
+    /// From here on the walls of voxels decide, and time grows with the depth.
+    const DENSE: f64 = 1e3;
+    let points = function.map_or(&[][..], |function| function.points());
+    let sigma_t = points.iter().fold(0.0, |most, p| f64::max(most, p.sigma_t));
+    let depth = sigma_t * spacing;
+    let what = format!(
+        "sigma_t of {sigma_t:e} /m is an optical depth of {depth:.1e} across a voxel of {spacing:.1e} m"
+    );
+    if depth > SceneFile::MAX_VOXEL_DEPTH {
+        return Err(SceneError::field(
+            format!("{field}.points"),
+            format!(
+                "{what}, which would hardly ever end; expected at most {:e}, reduce sigma_t (its unit is 1/m)",
+                SceneFile::MAX_VOXEL_DEPTH
+            ),
+        ));
+    }
+    Ok((depth > DENSE).then(|| {
+        format!(
+            "{field}: {what}: rendering takes long and looks the same from 1e3 on (the unit is 1/m)"
+        )
+    }))
+}
+
+/// A remark about voxels that are not numbers.
+fn replaced_voxels(volume: &Volume) -> Option<String> {
+    let replaced = volume.replaced();
+    let total = replaced.nan + replaced.infinite;
+    (total > 0).then(|| {
+        format!(
+            "volume: {total} of {} voxels were NaN or infinite and have been replaced (NaN by the minimum, infinities by the finite minimum or maximum)",
+            volume.dims().map(u64::from).iter().product::<u64>()
+        )
     })
 }
 

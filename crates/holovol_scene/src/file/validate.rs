@@ -215,7 +215,26 @@ impl EnvironmentEntry {
             self.scale,
             0.0..=1e12,
             "a factor on the radiance",
-        )
+        )?;
+        self.constant.map_or(Ok(()), |radiance| {
+            self.check_peak(radiance.into_iter().fold(0.0, f64::max), field)
+        })
+    }
+
+    /// Fails if the brightest radiance of the map, scaled, is more than kernels in f32 can sum up.
+    pub(super) fn check_peak(&self, peak: f64, field: &str) -> Result<(), SceneError> {
+        let scaled = peak * self.scale;
+        if scaled <= SceneFile::MAX_RADIANCE {
+            return Ok(());
+        }
+        Err(SceneError::field(
+            format!("{field}.scale"),
+            format!(
+                "{} makes the brightest radiance {scaled:e}; expected at most {:e}, reduce `scale` or the light itself",
+                self.scale,
+                SceneFile::MAX_RADIANCE
+            ),
+        ))
     }
 }
 
