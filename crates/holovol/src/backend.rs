@@ -7,11 +7,12 @@ use holovol_render::{Counters, Gpu, TraceOptions, Tracer};
 use holovol_scene::Scene;
 
 use crate::cli::{Backend, DeviceArgs, EffortArgs, Interpolation};
+use crate::interrupt::{self, Interruptible};
 use crate::{Exit, Failure};
 
 /// An open device, or the CPU.
 pub(crate) enum Device {
-    Gpu(Box<Gpu>, holovol_render::Interpolation),
+    Gpu(Box<Gpu>, TraceOptions),
     Reference,
 }
 
@@ -63,7 +64,12 @@ impl Device {
                     Interpolation::Hardware => holovol_render::Interpolation::Hardware,
                 };
                 let gpu = Gpu::new(args.adapter.as_deref())?;
-                Ok(Self::Gpu(Box::new(gpu), interpolation))
+                let options = TraceOptions {
+                    interpolation,
+                    exact_volume: args.exact_volume,
+                    ..Default::default()
+                };
+                Ok(Self::Gpu(Box::new(gpu), options))
             }
             Backend::Reference if args.adapter.is_some() => Err(Failure::new(
                 Exit::Usage,
@@ -106,11 +112,10 @@ impl Device {
     ) -> Result<Traced, Failure> {
         let started = Instant::now();
         match self {
-            Self::Gpu(gpu, interpolation) => {
+            Self::Gpu(gpu, options) => {
                 let options = TraceOptions {
-                    interpolation: *interpolation,
                     seed,
-                    ..Default::default()
+                    ..options.clone()
                 };
                 let mut tracer = Tracer::new(gpu, scene, &options)?;
                 let prepare_seconds = started.elapsed().as_secs_f64();
@@ -121,13 +126,15 @@ impl Device {
                     scene.camera.height,
                     tracer.read_image()?,
                 );
+                let mut faults = faults(&tracer.counters());
+                faults.extend(not_finite(&image));
                 Ok(Traced {
                     image,
                     spp,
                     prepare_seconds,
                     seconds,
                     notices: tracer.notices().to_vec(),
-                    faults: faults(&tracer.counters()),
+                    faults,
                 })
             }
             Self::Reference => {
@@ -142,20 +149,22 @@ impl Device {
                     tracer.accumulate(&mut film, samples);
                     Ok(())
                 })?;
+                let image = film.image();
                 Ok(Traced {
-                    image: film.image(),
+                    faults: not_finite(&image).into_iter().collect(),
+                    image,
                     spp,
                     prepare_seconds,
                     seconds,
                     notices: Vec::new(),
-                    faults: Vec::new(),
                 })
             }
         }
     }
 }
 
-/// Accumulates until the goal is reached; gives samples per pixel and seconds.
+/// Accumulates until the goal is reached or the user interrupts; gives samples per pixel and
+/// seconds.
 fn pursue(
     goal: Goal,
     progress: &mut dyn FnMut(f64, u64),
@@ -163,6 +172,8 @@ fn pursue(
 ) -> Result<(u64, f64), Failure> {
     /// A batch should take about this long, so that progress is seen.
     const BATCH_SECONDS: f64 = 0.25;
+    let _interruptible = Interruptible::new()?;
+    progress(0.0, 0);
     let started = Instant::now();
     let (mut done, mut batch) = (0u64, 1u32);
     loop {
@@ -178,7 +189,7 @@ fn pursue(
         if done > 0 {
             progress(part, done);
         }
-        if left < 1.0 {
+        if left < 1.0 || (done > 0 && interrupt::is_asked()) {
             return Ok((done, elapsed));
         }
         if done > 0 {
@@ -189,6 +200,15 @@ fn pursue(
         accumulate(samples)?;
         done += u64::from(samples);
     }
+}
+
+/// A fault if a pixel is not a number.
+fn not_finite(image: &Image) -> Option<String> {
+    let pixels = image.pixels().iter();
+    let count = pixels.filter(|p| p.iter().any(|c| !c.is_finite())).count();
+    (count > 0).then(|| {
+        format!("{count} pixels are not finite: radiance exceeds what 32-bit floats hold; reduce `environment.scale` or `emission`")
+    })
 }
 
 /// Checks of the kernel that failed.

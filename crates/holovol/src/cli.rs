@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 
@@ -15,6 +16,7 @@ Exit codes:
   5  no graphics adapter fits
   6  the graphics device was lost, or has not enough memory
   7  the image was written, but one of the renderer's own checks failed
+  130  stopped by Ctrl-C; what was traced by then is written
 
 Examples:
   holovol demo
@@ -92,7 +94,10 @@ OUT.0001.exr and so on, one with both OUT.left.0000.exr and so on; likewise for 
 
 On standard output comes one line of JSON: adapter, driver, backend, interpolation, spp, seconds
 (tracing only), load_seconds (reading, uploading, compiling), samples_per_second (pixels × spp /
-seconds), mean_rgb, mean_opacity, seed, width, height, images.
+seconds), mean_rgb, mean_opacity, seed, width, height, images, files (the images written).
+
+Ctrl-C while tracing writes the samples made so far; a second one ends at once.
+docs/scenes.md describes scene files key by key.
 
 Examples:
   holovol render scene.json --out image.exr
@@ -116,7 +121,7 @@ pub struct RenderArgs {
     #[command(flatten)]
     pub effort: EffortArgs,
     /// Images of different seeds have independent noise; the same seed gives the same image
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     pub seed: u64,
     /// What to trace on.
     #[command(flatten)]
@@ -137,7 +142,7 @@ pub struct RenderArgs {
 #[group(multiple = false)]
 pub struct EffortArgs {
     /// Samples per pixel; 64 unless --seconds is given
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), allow_negative_numbers = true)]
     pub spp: Option<u32>,
     /// Trace each image for this long, loading and compiling not counted
     #[arg(long, value_name = "S", value_parser = parse_seconds, allow_negative_numbers = true)]
@@ -151,11 +156,14 @@ pub struct DeviceArgs {
     #[arg(long, value_enum, default_value_t)]
     pub backend: Backend,
     /// Use the graphics adapter whose name or driver contains this
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = NonEmptyStringValueParser::new())]
     pub adapter: Option<String>,
     /// How values between voxels are found
     #[arg(long, value_enum, default_value_t)]
     pub interpolation: Interpolation,
+    /// Fail rather than reduce a volume that the adapter can't hold whole
+    #[arg(long)]
+    pub exact_volume: bool,
 }
 
 /// `holovol compare`
@@ -252,7 +260,7 @@ pub struct BenchTraceArgs {
     #[arg(long, value_name = "OUT.md")]
     pub report: Option<PathBuf>,
     /// Use the graphics adapter whose name or driver contains this
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = NonEmptyStringValueParser::new())]
     pub adapter: Option<String>,
 }
 

@@ -25,6 +25,8 @@ pub enum Exit {
     Device = 6,
     /// 7: the image was written, but a check of the renderer failed, so that it may be wrong.
     Inexact = 7,
+    /// 130: stopped by Ctrl-C; what was traced by then is written.
+    Interrupted = 130,
 }
 
 impl From<Exit> for ExitCode {

@@ -76,7 +76,10 @@ pub(crate) fn run(args: &InfoArgs) -> Result<(), Failure> {
     }
     let bar = Bar::new("loading");
     let mut progress = |progress: holovol_volume::Progress| {
-        bar.set(progress.bytes as f64 / progress.total_bytes.max(1) as f64);
+        bar.set(
+            progress.bytes as f64 / progress.total_bytes.max(1) as f64,
+            "",
+        );
     };
     if is_scene(&args.file)? {
         let sequence = Sequence::load(&args.file, &mut progress)?;

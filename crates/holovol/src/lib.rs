@@ -12,6 +12,7 @@ mod compare;
 mod demo;
 mod failure;
 mod info;
+mod interrupt;
 mod output;
 mod picture;
 mod progress;
@@ -62,6 +63,10 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
 fn print_bytes(bytes: &[u8]) -> Result<(), Failure> {
     let mut stdout = std::io::stdout().lock();
     let written = stdout.write_all(bytes).and_then(|()| stdout.flush());
+    // A reader that has seen enough is no failure.
+    if matches!(&written, Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe) {
+        return Ok(());
+    }
     written.map_err(|error| Failure::new(Exit::Output, format!("standard output: {error}")))
 }
 

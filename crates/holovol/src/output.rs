@@ -1,7 +1,6 @@
 //! Output files: checked before the work, written beside and then renamed.
 
 use std::fs::{self, File};
-use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use holovol_reference::Image;
@@ -72,50 +71,77 @@ pub(crate) fn numbered(path: &Path, eye: Option<&str>, frame: Option<u32>) -> Pa
     path.with_file_name(name)
 }
 
-/// Writes an image as OpenEXR.
+/// Finds out whether a numbered name is taken by a folder.
+///
+/// # Errors
+/// If it is.
+pub(crate) fn check_numbered(path: &Path, option: &str) -> Result<(), Failure> {
+    if !path.is_dir() {
+        return Ok(());
+    }
+    Err(Failure::new(
+        Exit::Output,
+        format!(
+            "{option}: {} is a folder; move it, or choose another name",
+            path.display()
+        ),
+    ))
+}
+
+/// Writes an image as OpenEXR. If its place is full by now, the image is kept in the folder for
+/// temporary files.
 pub(crate) fn write_exr(image: &Image, path: &Path) -> Result<(), Failure> {
-    image
-        .write_exr(path)
-        .map_err(|error| Failure::new(Exit::Output, error.to_string()))
+    let Err(error) = image.write_exr(path) else {
+        return Ok(());
+    };
+    let name = path.file_name().unwrap_or_default();
+    let refuge = std::env::temp_dir().join(name);
+    let kept = !refuge.exists() && image.write_exr(&refuge).is_ok();
+    let way_out = if kept {
+        format!("the image is kept as {}", refuge.display())
+    } else {
+        "make room or choose another place, and render again".into()
+    };
+    Err(Failure::new(Exit::Output, format!("{error}; {way_out}")))
 }
 
 /// Writes a picture as PNG.
 pub(crate) fn write_png(picture: &Picture, path: &Path) -> Result<(), Failure> {
-    write_whole(path, |part| encode(picture, part))
+    let bytes = encode(picture).map_err(|problem| {
+        Failure::new(Exit::Internal, format!("{}: {problem}", path.display()))
+    })?;
+    write_whole(path, &bytes)
 }
 
 /// Writes a text file.
 pub(crate) fn write_text(text: &str, path: &Path) -> Result<(), Failure> {
-    write_whole(path, |part| {
-        fs::write(part, text).map_err(|error| error.to_string())
-    })
+    write_whole(path, text.as_bytes())
 }
 
 /// Writes beside, then renames: the path never holds half a file.
-fn write_whole(
-    path: &Path,
-    write: impl FnOnce(&Path) -> Result<(), String>,
-) -> Result<(), Failure> {
-    let part = part_of(path);
-    let written =
-        write(&part).and_then(|()| fs::rename(&part, path).map_err(|error| error.to_string()));
-    written.map_err(|problem| {
+fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    // A link stays a link: what it points to is replaced.
+    let place = fs::canonicalize(path).unwrap_or_else(|_| path.into());
+    let part = part_of(&place);
+    let written = fs::write(&part, bytes).and_then(|()| fs::rename(&part, &place));
+    written.map_err(|error| {
         // Nothing more can be done about a leftover that can't be removed either.
         let _ = fs::remove_file(&part);
         Failure::new(
             Exit::Output,
-            format!("{}: can't be written ({problem})", path.display()),
+            format!(
+                "{}: can't be written ({error}); make room or choose another place",
+                path.display()
+            ),
         )
     })
 }
 
-fn encode(picture: &Picture, path: &Path) -> Result<(), String> {
-    let file = File::create(path).map_err(|error| error.to_string())?;
-    let encoder = PngEncoder::new_with_quality(
-        BufWriter::new(file),
-        CompressionType::Default,
-        FilterType::Adaptive,
-    );
+/// As PNG, in memory: an encoder that writes to a file would swallow the error of its last bytes.
+fn encode(picture: &Picture) -> Result<Vec<u8>, String> {
+    let mut file = Vec::new();
+    let encoder =
+        PngEncoder::new_with_quality(&mut file, CompressionType::Default, FilterType::Adaptive);
     let opaque = picture.pixels.iter().all(|pixel| pixel[3] == 255);
     let (bytes, color) = if opaque {
         let rgb = picture.pixels.iter().flat_map(|&[r, g, b, _]| [r, g, b]);
@@ -125,7 +151,8 @@ fn encode(picture: &Picture, path: &Path) -> Result<(), String> {
     };
     encoder
         .write_image(&bytes, picture.width, picture.height, color)
-        .map_err(|error| error.to_string())
+        .map_err(|error| error.to_string())?;
+    Ok(file)
 }
 
 fn folder_of(path: &Path) -> &Path {

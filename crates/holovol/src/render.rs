@@ -1,6 +1,6 @@
 //! `holovol render`: a scene file to images.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use holovol_reference::Image;
@@ -9,7 +9,7 @@ use holovol_scene::{Camera, Scene, SceneFile, Sequence};
 use crate::backend::{Device, Goal, Traced};
 use crate::cli::{Backend, Interpolation, RenderArgs};
 use crate::progress::Bar;
-use crate::{Exit, Failure, output, picture, print_json};
+use crate::{Exit, Failure, interrupt, output, picture, print_json};
 
 /// What `render` prints.
 #[derive(serde::Serialize)]
@@ -30,6 +30,8 @@ struct Line<'a> {
     samples_per_second: f64,
     mean_rgb: [f64; 3],
     mean_opacity: f64,
+    /// The images, in the order in which they were rendered.
+    files: &'a [PathBuf],
 }
 
 /// Sums over the images of a run.
@@ -41,6 +43,7 @@ struct Totals {
     seconds: f64,
     mean: [f64; 4],
     faults: Vec<String>,
+    files: Vec<PathBuf>,
 }
 
 pub(crate) fn run(args: &RenderArgs) -> Result<(), Failure> {
@@ -54,15 +57,23 @@ pub(crate) fn run(args: &RenderArgs) -> Result<(), Failure> {
     for notice in sequence.notices() {
         eprintln!("note: {notice}");
     }
-    // A camera that fails at a later frame is found before the first is rendered.
+    // What fails at a later frame is found before the first is rendered.
     for index in 0..sequence.frames() {
-        sequence.frame(index)?;
+        let scene = sequence.frame(index)?;
+        for (eye, _) in eyes(&sequence, &scene.camera) {
+            let frame = (sequence.frames() > 1).then_some(index);
+            output::check_numbered(&output::numbered(&args.out, eye, frame), "--out")?;
+            if let Some(png) = &args.png {
+                output::check_numbered(&output::numbered(png, eye, frame), "--png")?;
+            }
+        }
     }
     let mut load_seconds = started.elapsed().as_secs_f64();
 
     let mut totals = Totals::default();
     let mut notices = Vec::new();
-    for index in 0..sequence.frames() {
+    let mut empty = None;
+    'images: for index in 0..sequence.frames() {
         let scene = sequence.frame(index)?;
         let frame = (sequence.frames() > 1).then_some(index);
         for (eye, camera) in eyes(&sequence, &scene.camera) {
@@ -74,8 +85,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<(), Failure> {
             let bar = Bar::new(&name);
             let goal = Goal::from(args.effort);
             let traced = device.trace(&scene, args.seed, goal, &mut |part, spp| {
-                bar.set(part);
-                bar.say(format!("{spp} spp"));
+                bar.set(part, &format!("{spp} spp"));
             })?;
             drop(bar);
             load_seconds += traced.prepare_seconds;
@@ -87,7 +97,15 @@ pub(crate) fn run(args: &RenderArgs) -> Result<(), Failure> {
             }
             write(args, &sequence, &scene, &traced.image, eye, frame)?;
             totals.add(traced);
+            totals.files.push(output::numbered(&args.out, eye, frame));
+            empty.get_or_insert(scene);
+            if interrupt::is_asked() {
+                break 'images;
+            }
         }
+    }
+    if let Some(scene) = empty.filter(|_| totals.mean[3] == 0.0) {
+        eprintln!("note: {}", why_empty(&scene));
     }
 
     let camera = sequence.file().camera;
@@ -115,8 +133,60 @@ pub(crate) fn run(args: &RenderArgs) -> Result<(), Failure> {
         samples_per_second: totals.samples / totals.seconds.max(1e-9),
         mean_rgb: [r, g, b],
         mean_opacity,
+        files: &totals.files,
     })?;
+    if interrupt::is_asked() {
+        return Err(Failure::new(
+            Exit::Interrupted,
+            format!(
+                "stopped; {} of {} images written, the last with {} samples per pixel",
+                totals.images,
+                u64::from(sequence.frames()) * if sequence.ipd().is_some() { 2 } else { 1 },
+                totals.spp.unwrap_or(0),
+            ),
+        ));
+    }
     check(&totals.faults, args.device.interpolation)
+}
+
+/// The likeliest reason why nothing of the volume is seen.
+fn why_empty(scene: &Scene) -> String {
+    let points = scene.transfer_function.points();
+    if points.iter().all(|point| point.sigma_t == 0.0) {
+        return "nothing is seen: sigma_t is 0 at every point of `transfer_function`".into();
+    }
+    let [lo, hi] = scene.window;
+    let [low, high] = scene.volume.range();
+    let s = |value: f64| (value - lo) / (hi - lo);
+    let (from, to) = (s(low).min(s(high)), s(low).max(s(high)));
+    let is_visible = |s: f64| scene.transfer_function.eval(s).sigma_t > 0.0;
+    let inside = points
+        .iter()
+        .map(|p| p.s)
+        .filter(|s| (from..=to).contains(s));
+    if ![from, to].into_iter().chain(inside).any(is_visible) {
+        return format!(
+            "nothing is seen: the values {low} to {high} are s = {from:.3} to {to:.3} in the window [{lo}, {hi}], where sigma_t is 0"
+        );
+    }
+    let centre = scene
+        .world_from_unit_cube
+        .transform_point3(glam::DVec3::splat(0.5));
+    let size = (0..3)
+        .map(|axis| scene.world_from_unit_cube.col(axis).truncate().length())
+        .fold(0.0, f64::max);
+    let distance = centre.distance(scene.camera.eye);
+    let seen = size / distance.max(1e-30) / scene.camera.fov_y * f64::from(scene.camera.height);
+    if seen < 2.0 {
+        return format!(
+            "nothing is seen: the volume is {size:.3} m large and {distance:.3} m away, less than two pixels; lengths are in metres"
+        );
+    }
+    format!(
+        "nothing is seen: the volume's centre is at {:.3?} m, the camera at {:.3?} looks elsewhere or through empty parts",
+        centre.to_array(),
+        scene.camera.eye.to_array()
+    )
 }
 
 /// Reads the scene, with the size and number of frames that the user wants.
@@ -126,7 +196,10 @@ fn load(args: &RenderArgs) -> Result<Sequence, Failure> {
     let base = args.scene.parent().unwrap_or(Path::new(""));
     let bar = Bar::new("loading");
     let sequence = Sequence::new(&file, base, &mut |progress| {
-        bar.set(progress.bytes as f64 / progress.total_bytes.max(1) as f64);
+        bar.set(
+            progress.bytes as f64 / progress.total_bytes.max(1) as f64,
+            "",
+        );
     })
     .map_err(|error| error.in_file(&args.scene))?;
     let Some(frames) = args.frames else {
@@ -135,7 +208,10 @@ fn load(args: &RenderArgs) -> Result<Sequence, Failure> {
     if file.animation.is_none() {
         return Err(Failure::new(
             Exit::Usage,
-            format!("--frames: {} has no `animation`", args.scene.display()),
+            format!(
+                "--frames: {} has no `animation`; add one, or leave --frames out",
+                args.scene.display()
+            ),
         ));
     }
     Ok(sequence.with_frames(frames)?)

@@ -171,7 +171,9 @@ impl Image {
     /// # Errors
     /// If the folder is missing or can't be written.
     pub fn write_exr(&self, path: &Path) -> Result<(), ImageError> {
-        let mut part = path.as_os_str().to_owned();
+        // A link stays a link: what it points to is replaced.
+        let place = fs::canonicalize(path).unwrap_or_else(|_| path.into());
+        let mut part = place.as_os_str().to_owned();
         part.push(".part");
         let part = PathBuf::from(part);
         let width = self.width as usize;
@@ -191,12 +193,12 @@ impl Image {
         );
         let written = openexr::Image::from_layer(layer).write().to_file(&part);
         let placed = match written {
-            Ok(()) => fs::rename(&part, path).map_err(|source| ImageError::Io {
+            Ok(()) => fs::rename(&part, &place).map_err(|source| ImageError::Io {
                 path: path.into(),
                 source,
             }),
             Err(openexr::Error::Io(source)) => Err(ImageError::Io {
-                path: part.clone(),
+                path: path.into(),
                 source,
             }),
             Err(error) => Err(ImageError::Encode {

@@ -88,16 +88,16 @@ pub(crate) fn run(args: &BenchTraceArgs) -> Result<(), Failure> {
     let mut scenes = Vec::new();
     let mut first = None;
     for (index, path) in args.scenes.iter().enumerate() {
-        bar.say(path.display().to_string());
+        let done = |scenes: usize| scenes as f64 / (args.scenes.len() + 1) as f64;
+        bar.set(done(index), &path.display().to_string());
         let scene = Sequence::load(path, &mut |_| {})?.frame(0)?;
         let name = path
             .file_stem()
             .map_or_else(String::new, |s| s.to_string_lossy().into_owned());
         scenes.push(measure_scene(&gpu, &scene, name, args)?);
         first.get_or_insert(scene);
-        bar.set((index + 1) as f64 / (args.scenes.len() + 1) as f64);
+        bar.set(done(index + 1), "sizes");
     }
-    bar.say("sizes".into());
     let sizes = match first {
         Some(scene) if !args.no_sizes => measure_sizes(&gpu, &scene, args)?,
         _ => Vec::new(),

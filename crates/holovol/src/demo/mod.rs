@@ -14,7 +14,7 @@ use holovol_scene::{
 use crate::backend::{Device, Goal};
 use crate::cli::{Backend, DemoArgs, DeviceArgs, EffortArgs};
 use crate::progress::Bar;
-use crate::{Exit, Failure, output, picture, print_bytes};
+use crate::{Exit, Failure, interrupt, output, picture, print_bytes};
 
 /// Unless the user says otherwise tracing ends at the first of these.
 const DEFAULT_SPP: u32 = 64;
@@ -24,7 +24,7 @@ pub(crate) fn run(args: &DemoArgs) -> Result<(), Failure> {
     output::check(&args.out, "png", "--out")?;
     let started = Instant::now();
     let device = open(&args.device)?;
-    eprintln!("note: making a head phantom and a room");
+    eprintln!("note: making a head phantom and a room, then tracing for up to a minute");
     let volume = phantom::volume()?;
     let file = scene(args.size);
     let sequence = Sequence::with_data(&file, volume, room::environment())?;
@@ -42,8 +42,7 @@ pub(crate) fn run(args: &DemoArgs) -> Result<(), Failure> {
         effort => effort.into(),
     };
     let traced = device.trace(&scene, 0, goal, &mut |part, spp| {
-        bar.set(part);
-        bar.say(format!("{spp} spp"));
+        bar.set(part, &format!("{spp} spp"));
     })?;
     drop(bar);
     let settings = file.output.unwrap_or_default();
@@ -62,6 +61,18 @@ pub(crate) fn run(args: &DemoArgs) -> Result<(), Failure> {
         device.adapter(),
     );
     print_bytes(text.as_bytes())?;
+    if let Ok(command) = std::env::current_exe() {
+        eprintln!(
+            "note: the command is {}; --help tells what else it does",
+            command.display()
+        );
+    }
+    if interrupt::is_asked() {
+        return Err(Failure::new(
+            Exit::Interrupted,
+            "stopped; the picture is as far as it got",
+        ));
+    }
     if traced.faults.is_empty() {
         Ok(())
     } else {
