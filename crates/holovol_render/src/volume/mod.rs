@@ -45,6 +45,15 @@ impl Encoding {
             VoxelKind::I8 => (TextureFormat::R8Unorm, 255.0, -128.0),
             VoxelKind::U16 if sixteen_bit => (TextureFormat::R16Unorm, 65535.0, 0.0),
             VoxelKind::I16 if sixteen_bit => (TextureFormat::R16Unorm, 65535.0, -32768.0),
+            // About the middle: f16 overflows at 65,520, and its steps are smallest near 0.
+            _ if float == TextureFormat::R16Float => {
+                let [low, high] = volume
+                    .range()
+                    .map(|value| (value - volume.intercept()) / volume.slope());
+                let half_range = 0.5 * (high - low).abs();
+                let scale = if half_range > 0.0 { half_range } else { 1.0 };
+                (float, scale, 0.5 * (low + high))
+            }
             _ => (float, 1.0, 0.0),
         };
         Self {
@@ -77,7 +86,8 @@ impl Encoding {
                 out.extend(texels.flat_map(u16::to_ne_bytes));
             }
             (TextureFormat::R16Float, voxels) => {
-                let texels = (start..end).map(|i| half::f16::from_f64(voxels.stored(i)));
+                let texel = |i| half::f16::from_f64((voxels.stored(i) - self.offset) / self.scale);
+                let texels = (start..end).map(texel);
                 out.extend(texels.flat_map(|x| x.to_ne_bytes()));
             }
             (_, Voxels::F32(v)) => out.extend_from_slice(bytemuck::cast_slice(&v[start..end])),
@@ -282,4 +292,32 @@ fn downsample(volume: &Volume, factor: u32) -> Result<Volume, RenderError> {
         field: "volume",
         reason: error.to_string(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use holovol_volume::Geometry;
+
+    #[test]
+    fn half_floats_hold_any_range() {
+        for (voxels, range) in [
+            (Voxels::F32(vec![-2e5, 0.0, 1e6, 7e5]), 1.2e6),
+            (Voxels::U16(vec![0, 65535, 40000, 1]), 65535.0),
+            (Voxels::F32(vec![3.0; 4]), 1.0),
+        ] {
+            let geometry = Geometry::from_spacing([1.0; 3]);
+            let volume = Volume::new(voxels, [4, 1, 1], -2.0, 5.0, geometry).unwrap();
+            let encoding = Encoding::choose(&volume, Features::empty(), Interpolation::Hardware);
+            assert_eq!(encoding.format, TextureFormat::R16Float);
+            let mut bytes = Vec::new();
+            encoding.encode(volume.voxels(), 0, 4, &mut bytes);
+            for (i, bytes) in bytes.chunks(2).enumerate() {
+                let texel = half::f16::from_ne_bytes([bytes[0], bytes[1]]).to_f64();
+                let stored = encoding.scale * texel + encoding.offset;
+                let error = (stored - volume.voxels().stored(i)).abs();
+                assert!(error <= range * 2f64.powi(-12), "{stored}, off by {error}");
+            }
+        }
+    }
 }
