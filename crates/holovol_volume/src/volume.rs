@@ -116,9 +116,32 @@ pub struct Volume {
     geometry: Geometry,
     stored_range: [f64; 2],
     replaced: ReplacedVoxels,
-    header_window: Option<[f64; 2]>,
+    header_windows: Vec<HeaderWindow>,
     source_format: Option<SourceFormat>,
+    rounded: bool,
+    labels: Option<Arc<Vec<Label>>>,
     notices: Vec<String>,
+}
+
+/// What one value of a label volume stands for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Label {
+    /// The value.
+    pub value: f64,
+    /// What it is called; may be empty.
+    pub name: String,
+    /// The colour that the file gives it, sRGB, 0 to 1.
+    pub color: Option<[f32; 3]>,
+}
+
+/// A display window that a file's header asks for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HeaderWindow {
+    /// The values that become black and white, in data units; the higher one first where the
+    /// header wants low values bright.
+    pub window: [f64; 2],
+    /// What the header calls it (`LUNG`); may be empty.
+    pub name: String,
 }
 
 /// What a volume's file was.
@@ -174,15 +197,41 @@ impl Volume {
             geometry,
             stored_range,
             replaced,
-            header_window: None,
+            header_windows: Vec::new(),
             source_format: None,
+            rounded: false,
+            labels: None,
             notices: Vec::new(),
         })
     }
 
     /// The same volume with the display window (lo, hi) that its header asks for, in data units.
     pub fn with_header_window(mut self, window: [f64; 2]) -> Self {
-        self.header_window = Some(window);
+        self.header_windows.insert(
+            0,
+            HeaderWindow {
+                window,
+                name: String::new(),
+            },
+        );
+        self
+    }
+
+    /// The same volume with all display windows of its header, the preferred one first.
+    pub fn with_header_windows(mut self, windows: Vec<HeaderWindow>) -> Self {
+        self.header_windows = windows;
+        self
+    }
+
+    /// The same volume with word of whether its voxels are rounded, see [`Volume::is_rounded`].
+    pub fn with_rounded(mut self, rounded: bool) -> Self {
+        self.rounded = rounded;
+        self
+    }
+
+    /// The same volume as one of labels: its values are names, not amounts.
+    pub fn with_labels(mut self, labels: Vec<Label>) -> Self {
+        self.labels = Some(Arc::new(labels));
         self
     }
 
@@ -254,7 +303,23 @@ impl Volume {
 
     /// The display window that the file's header asks for, in data units.
     pub fn header_window(&self) -> Option<[f64; 2]> {
-        self.header_window
+        self.header_windows.first().map(|first| first.window)
+    }
+
+    /// All display windows that the file's header asks for, the preferred one first.
+    pub fn header_windows(&self) -> &[HeaderWindow] {
+        &self.header_windows
+    }
+
+    /// Whether the voxels are not exactly the file's: 64-bit numbers kept as f32, slices with
+    /// scalings of their own, or slices that were interpolated.
+    pub fn is_rounded(&self) -> bool {
+        self.rounded
+    }
+
+    /// What the values stand for, if the file says that they are labels; may be empty.
+    pub fn labels(&self) -> Option<&[Label]> {
+        self.labels.as_deref().map(Vec::as_slice)
     }
 
     /// The format and number type of the file, if the volume comes from one.

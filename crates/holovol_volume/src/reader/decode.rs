@@ -4,7 +4,7 @@ use std::io::Read;
 use bytemuck::{Pod, Zeroable};
 
 use super::numbers::{NumberType, WideNumber, smallest_kind};
-use super::{Input, Progress, ReadOptions};
+use super::{CancelFlag, Input, Progress, ReadOptions};
 use crate::{VolumeError, VoxelKind, Voxels};
 
 /// Voxels are read in pieces of this many bytes: memory grows with what arrives.
@@ -41,6 +41,8 @@ impl Layout {
 pub(super) struct Decoded {
     pub voxels: Voxels,
     pub notices: Vec<String>,
+    /// Whether values had to be rounded.
+    pub rounded: bool,
 }
 
 /// Reads voxels into the smallest type that holds them exactly, f32 where none does.
@@ -80,6 +82,7 @@ pub(super) fn read_voxels(
         swap: layout.big_endian != cfg!(target_endian = "big"),
         input,
         progress,
+        cancel: &options.cancel,
     };
     let mut notices = Vec::new();
     let voxels = match layout.number {
@@ -94,7 +97,13 @@ pub(super) fn read_voxels(
         NumberType::F32 => reading.narrowed::<f32>(layout.number, &mut notices)?,
         NumberType::F64 => reading.narrowed::<f64>(layout.number, &mut notices)?,
     };
-    Ok(Decoded { voxels, notices })
+    input.check_unchanged()?;
+    Ok(Decoded {
+        voxels,
+        // The only thing that this function has to tell.
+        rounded: !notices.is_empty(),
+        notices,
+    })
 }
 
 /// Reads on after the last voxel, so that a gzip stream's check sum gets compared.
@@ -121,6 +130,7 @@ struct Reading<'a, 'b> {
     told_bytes: u64,
     reserve_all: bool,
     swap: bool,
+    cancel: &'a CancelFlag,
 }
 
 impl Reading<'_, '_> {
@@ -130,6 +140,11 @@ impl Reading<'_, '_> {
         piece: &mut [T],
         swap_bytes: impl Fn(T) -> T,
     ) -> Result<(), VolumeError> {
+        if self.cancel.is_cancelled() {
+            return Err(VolumeError::Cancelled {
+                path: self.input.path().into(),
+            });
+        }
         let mut rest: &mut [u8] = bytemuck::cast_slice_mut(piece);
         while !rest.is_empty() {
             match self.input.read(rest) {

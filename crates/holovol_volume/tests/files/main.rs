@@ -2,6 +2,7 @@
 
 mod bytes;
 mod damaged;
+mod formats;
 mod nifti;
 mod nrrd;
 mod open;
