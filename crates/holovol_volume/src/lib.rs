@@ -17,6 +17,7 @@ mod statistics;
 mod transfer_function;
 mod transfer_function_file;
 mod volume;
+mod writer;
 
 pub use cells::{CELL_SIZE, CellRanges};
 pub use geometry::Geometry;
@@ -31,3 +32,4 @@ pub use transfer_function_file::{TransferFunctionFile, TransferFunctionFileError
 pub use volume::{
     HeaderWindow, Label, ReplacedVoxels, SourceFormat, Volume, VoxelKind, Voxels,
 };
+pub use writer::{OutputFormat, WriteError, write};

@@ -146,6 +146,12 @@ impl<'a> Input<'a> {
         Some((source, at))
     }
 
+    /// Goes on at an offset of its source, up to which all has been read directly.
+    pub(super) fn pass(&mut self, source: &Source<'a>, at: u64) {
+        self.at_most = Some(source.length().saturating_sub(at));
+        self.stream = Box::new(BufReader::with_capacity(BUFFER_BYTES, source.cursor(at)));
+    }
+
     /// Whether the file is still as it was when it was opened.
     ///
     /// # Errors

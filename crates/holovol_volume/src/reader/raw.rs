@@ -47,6 +47,9 @@ pub struct RawLayout {
     /// anterior, superior; takes the place of `spacing_mm`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub directions_ras_mm: Option<[[f64; 3]; 3]>,
+    /// The same without a patient, in the world's x, y, z.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub directions_world_mm: Option<[[f64; 3]; 3]>,
     /// The first voxel's centre in the same frame, millimetres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub origin_ras_mm: Option<[f64; 3]>,
@@ -91,6 +94,7 @@ impl RawLayout {
             slope: 1.0,
             intercept: 0.0,
             directions_ras_mm: None,
+            directions_world_mm: None,
             origin_ras_mm: None,
         }
     }
@@ -125,7 +129,7 @@ impl RawLayout {
                 found: error.to_string(),
                 expected: "{\"dims\": [x, y, z], \"type\": \"u16\"} and if need be \"endian\", \
                            \"spacing_mm\", \"offset\", \"slope\", \"intercept\", \
-                           \"directions_ras_mm\", \"origin_ras_mm\""
+                           \"directions_ras_mm\", \"directions_world_mm\", \"origin_ras_mm\""
                     .into(),
             })
     }
@@ -138,7 +142,7 @@ impl RawLayout {
             found,
             expected: expected.into(),
         };
-        if let Some(directions) = self.directions_ras_mm {
+        if let Some(directions) = self.directions_ras_mm.or(self.directions_world_mm) {
             let [x, y, z] = directions.map(|d| DVec3::from_array(d) * METRES_PER_MM);
             let directions = DMat3::from_cols(x, y, z);
             check_directions(&directions).map_err(|problem| {
@@ -152,7 +156,11 @@ impl RawLayout {
             if !origin.is_finite() {
                 return Err(field("origin_ras_mm", format!("{origin}"), "finite numbers"));
             }
-            return Ok(Geometry::from_ras(directions, origin * METRES_PER_MM));
+            return Ok(Geometry {
+                metres_from_index: directions,
+                origin: origin * METRES_PER_MM,
+                oriented: self.directions_ras_mm.is_some(),
+            });
         }
         let spacing = self.spacing_mm.unwrap_or([1.0; 3]).map(|l| l * METRES_PER_MM);
         check_directions(&DMat3::from_diagonal(DVec3::from_array(spacing)))

@@ -2,7 +2,9 @@
 
 mod bytes;
 mod damaged;
+mod dicom;
 mod formats;
+mod writing;
 mod nifti;
 mod nrrd;
 mod open;

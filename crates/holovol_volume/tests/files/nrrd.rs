@@ -419,7 +419,7 @@ fn bad_headers_name_field_and_way_out() {
         ),
         (
             with(&["encoding: raw", "data file: a%02d.raw 1 9 1"], b""),
-            "a01.raw",
+            "9 files",
         ),
         (with(&["encoding: raw", "data file: a.raw"], b""), "a.raw"),
     ] {

@@ -27,7 +27,7 @@ const PACKED_MAX: u64 = 4 << 30;
 const PREFERRED: &str = "density";
 
 /// Progress is told after this many leaves.
-const LEAVES_TOLD: usize = 4096;
+const LEAVES_TOLD: usize = 512;
 
 /// Reads OpenVDB.
 #[derive(Clone, Copy, Debug)]
@@ -226,10 +226,12 @@ impl<'a> VdbFile<'a> {
                         path: self.path.clone(),
                     });
                 }
-                progress(Progress {
-                    bytes: (total_bytes as f64 * number as f64 / leaves as f64) as u64,
-                    total_bytes,
-                });
+                if number > 0 {
+                    progress(Progress {
+                        bytes: (total_bytes as f64 * number as f64 / leaves as f64) as u64,
+                        total_bytes,
+                    });
+                }
             }
             let values =
                 tree::read_leaf(&mut stream, packing, topology.background, &mut rounded)?;
