@@ -244,13 +244,25 @@ pub struct InputArgs {
     #[arg(long)]
     pub fill_missing_slices: bool,
     /// Voxels along x, y, z of a file without a header
-    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, requires = "raw_type")]
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_delimiter = ',',
+        num_args = 3,
+        requires = "raw_type"
+    )]
     pub raw_dims: Option<Vec<u32>>,
     /// Type of its numbers: u8, i8, u16, i16, u32, i32, u64, i64, f32 or f64
     #[arg(long, value_name = "TYPE", requires = "raw_dims")]
     pub raw_type: Option<NumberType>,
     /// Its spacing along x, y, z in mm; 1 if left out
-    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, requires = "raw_dims")]
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_delimiter = ',',
+        num_args = 3,
+        requires = "raw_dims"
+    )]
     pub raw_spacing: Option<Vec<f64>>,
     /// Bytes before its first voxel
     #[arg(long, value_name = "BYTES", default_value_t = 0, requires = "raw_dims")]
@@ -263,8 +275,7 @@ pub struct InputArgs {
 impl InputArgs {
     /// The same for the reader.
     pub fn options(&self) -> ReadOptions {
-        let mut options =
-            ReadOptions::default().with_fill_missing_slices(self.fill_missing_slices);
+        let mut options = ReadOptions::default().with_fill_missing_slices(self.fill_missing_slices);
         if let Some(choice) = &self.choice {
             options = options.with_choice(choice);
         }

@@ -114,7 +114,11 @@ pub(crate) fn run(args: &InfoArgs) -> Result<(), Failure> {
     let volume = match holovol_volume::open_with(&args.file, &options, &mut progress) {
         Ok(volume) => volume,
         // What is there to choose from is what was asked for.
-        Err(VolumeError::Choose { path, what, contents }) => {
+        Err(VolumeError::Choose {
+            path,
+            what,
+            contents,
+        }) => {
             drop(bar);
             return list(args, &path, what, &contents);
         }
@@ -307,10 +311,15 @@ impl VolumeInfo {
         line("percentiles", percentiles.collect::<Vec<_>>().join("   "));
         let window = |[lo, hi]: [f64; 2]| format!("{} … {}", number(lo), number(hi));
         for header in &self.header_windows {
-            line("header window", format!("{} {}", window(header.window), header.name));
+            line(
+                "header window",
+                format!("{} {}", window(header.window), header.name),
+            );
         }
         if let Some(labels) = &self.labels {
-            let names = labels.iter().map(|l| format!("{} {}", number(l.value), l.name));
+            let names = labels
+                .iter()
+                .map(|l| format!("{} {}", number(l.value), l.name));
             line("labels", names.collect::<Vec<_>>().join(", "));
         }
         line("auto window", window(self.auto_window));

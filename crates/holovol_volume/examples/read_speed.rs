@@ -28,7 +28,9 @@ fn files(path: &Path) -> Vec<PathBuf> {
         return entries.flatten().map(|entry| entry.path()).collect();
     }
     let raw = path.with_extension("raw");
-    let detached = path.extension().is_some_and(|end| end == "mhd" || end == "nhdr");
+    let detached = path
+        .extension()
+        .is_some_and(|end| end == "mhd" || end == "nhdr");
     vec![if detached { raw } else { path.into() }]
 }
 
@@ -48,7 +50,10 @@ fn bytes_alone(files: &[PathBuf]) -> usize {
 }
 
 fn main() {
-    println!("{:>10} {:>8} {:>10} {:>8} {:>6}", "read, s", "MB/s", "bytes, s", "MB/s", "ratio");
+    println!(
+        "{:>10} {:>8} {:>10} {:>8} {:>6}",
+        "read, s", "MB/s", "bytes, s", "MB/s", "ratio"
+    );
     for path in std::env::args_os().skip(1).map(PathBuf::from) {
         let files = files(&path);
         let (alone, size) = best(|| bytes_alone(&files));

@@ -29,7 +29,5 @@ pub use reader::{
 pub use statistics::Histogram;
 pub use transfer_function::{Material, TransferFunction, TransferFunctionError, TransferPoint};
 pub use transfer_function_file::{TransferFunctionFile, TransferFunctionFileError};
-pub use volume::{
-    HeaderWindow, Label, ReplacedVoxels, SourceFormat, Volume, VoxelKind, Voxels,
-};
+pub use volume::{HeaderWindow, Label, ReplacedVoxels, SourceFormat, Volume, VoxelKind, Voxels};
 pub use writer::{OutputFormat, WriteError, write};

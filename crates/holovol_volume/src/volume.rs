@@ -1,6 +1,7 @@
 use std::sync::Arc;
 
 use glam::{DMat4, DVec3};
+use rayon::prelude::*;
 
 use crate::{Geometry, VolumeError};
 
@@ -363,18 +364,27 @@ impl Volume {
     }
 }
 
+/// Enough to keep a core busy for much longer than it takes to hand it out.
+const RANGE_CHUNK: usize = 1 << 18;
+
 /// Replaces NaN and infinities; returns the range of the finite numbers and what was replaced.
 fn make_finite(voxels: &mut Voxels, minimum_is_largest: bool) -> ([f64; 2], ReplacedVoxels) {
-    fn range_of<T: Copy + PartialOrd + Into<f64>>(values: &[T]) -> [f64; 2] {
-        let (mut low, mut high) = (values[0], values[0]);
-        for &value in values {
-            if value < low {
-                low = value;
-            }
-            if value > high {
-                high = value;
-            }
-        }
+    fn range_of<T: Copy + PartialOrd + Into<f64> + Sync + Send>(values: &[T]) -> [f64; 2] {
+        let first = values[0];
+        let (low, high) = values
+            .par_chunks(RANGE_CHUNK)
+            .map(|chunk| {
+                let (mut low, mut high) = (first, first);
+                for &value in chunk {
+                    low = if value < low { value } else { low };
+                    high = if value > high { value } else { high };
+                }
+                (low, high)
+            })
+            .reduce(
+                || (first, first),
+                |(a, b), (c, d)| (if c < a { c } else { a }, if d > b { d } else { b }),
+            );
         [low.into(), high.into()]
     }
     let values = match voxels {
@@ -384,18 +394,33 @@ fn make_finite(voxels: &mut Voxels, minimum_is_largest: bool) -> ([f64; 2], Repl
         Voxels::I16(v) => return (range_of(v), ReplacedVoxels::default()),
         Voxels::F32(v) => v,
     };
-    let mut replaced = ReplacedVoxels::default();
-    let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
-    for &value in values.iter() {
-        if value.is_finite() {
-            low = low.min(value);
-            high = high.max(value);
-        } else if value.is_nan() {
-            replaced.nan += 1;
-        } else {
-            replaced.infinite += 1;
-        }
-    }
+    let (mut low, mut high, replaced) = values
+        .par_chunks(RANGE_CHUNK)
+        .map(|chunk| {
+            let mut replaced = ReplacedVoxels::default();
+            let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
+            for &value in chunk {
+                if value.is_finite() {
+                    low = low.min(value);
+                    high = high.max(value);
+                } else if value.is_nan() {
+                    replaced.nan += 1;
+                } else {
+                    replaced.infinite += 1;
+                }
+            }
+            (low, high, replaced)
+        })
+        .reduce(
+            || (f32::INFINITY, f32::NEG_INFINITY, ReplacedVoxels::default()),
+            |(a, b, r), (c, d, s)| {
+                let replaced = ReplacedVoxels {
+                    nan: r.nan + s.nan,
+                    infinite: r.infinite + s.infinite,
+                };
+                (a.min(c), b.max(d), replaced)
+            },
+        );
     if low > high {
         (low, high) = (0.0, 0.0);
     }

@@ -7,6 +7,7 @@ use std::time::SystemTime;
 use flate2::bufread::GzDecoder;
 
 use super::source::Source;
+use super::threaded::ReadAhead;
 use crate::VolumeError;
 
 /// Deflate can't expand a byte to more than this many (258 bytes for 2 bits).
@@ -14,6 +15,9 @@ pub(super) const DEFLATE_RATIO_MAX: u64 = 1032;
 
 /// Large enough for sequential reads from a disk, small beside any volume.
 const BUFFER_BYTES: usize = 256 << 10;
+
+/// Below this a thread would cost more than it saves.
+const READ_AHEAD_BYTES_MIN: u64 = 128 << 10;
 
 /// How much of a file's beginning [`Input::peek`] shows to readers.
 const PEEK_BYTES: usize = 1024;
@@ -201,9 +205,17 @@ impl<'a> Input<'a> {
 
     /// The unpacked content from here on, whether or not it begins like a gzip stream.
     pub fn gunzip(self) -> Self {
-        let decoder = GzipMembers(Some(GzDecoder::new(self.stream)));
+        let stream = match self.read_ahead() {
+            Some(ahead) => {
+                Box::new(BufReader::with_capacity(BUFFER_BYTES, ahead)) as Box<dyn BufRead>
+            }
+            None => {
+                let decoder = GzipMembers(Some(GzDecoder::new(self.stream)));
+                Box::new(BufReader::with_capacity(BUFFER_BYTES, decoder))
+            }
+        };
         Self {
-            stream: Box::new(BufReader::with_capacity(BUFFER_BYTES, decoder)),
+            stream,
             at_most: self
                 .at_most
                 .map(|packed| packed.saturating_mul(DEFLATE_RATIO_MAX)),
@@ -211,6 +223,21 @@ impl<'a> Input<'a> {
             source: None,
             ..self
         }
+    }
+
+    /// Large files are unpacked on a thread of their own.
+    fn read_ahead(&self) -> Option<ReadAhead> {
+        let (source, at) = self.direct()?;
+        let Source::File(file, length) = source else {
+            return None;
+        };
+        if length < READ_AHEAD_BYTES_MIN {
+            return None;
+        }
+        let packed = Source::File(file, length).cursor(at);
+        let packed = BufReader::with_capacity(BUFFER_BYTES, packed);
+        // Without a thread it goes, too.
+        ReadAhead::new(GzipMembers(Some(GzDecoder::new(packed)))).ok()
     }
 
     /// The same, unpacked if it is a gzip stream.

@@ -19,6 +19,7 @@ mod placement;
 mod raw;
 mod select;
 mod source;
+mod threaded;
 mod tiff;
 mod vdb;
 mod zip;
@@ -165,9 +166,7 @@ pub fn contents(path: &Path, options: &ReadOptions) -> Result<Vec<Content>, Volu
     reader.contents(input, options)
 }
 
-fn find_reader(
-    input: Input<'_>,
-) -> Result<(&'static dyn VolumeReader, Input<'_>), VolumeError> {
+fn find_reader(input: Input<'_>) -> Result<(&'static dyn VolumeReader, Input<'_>), VolumeError> {
     let mut input = input.gunzip_if_packed()?;
     let first = input.peek()?;
     let name = input.path().to_string_lossy().to_lowercase();

@@ -154,7 +154,11 @@ impl RawLayout {
             })?;
             let origin = DVec3::from_array(self.origin_ras_mm.unwrap_or_default());
             if !origin.is_finite() {
-                return Err(field("origin_ras_mm", format!("{origin}"), "finite numbers"));
+                return Err(field(
+                    "origin_ras_mm",
+                    format!("{origin}"),
+                    "finite numbers",
+                ));
             }
             return Ok(Geometry {
                 metres_from_index: directions,
@@ -162,7 +166,10 @@ impl RawLayout {
                 oriented: self.directions_ras_mm.is_some(),
             });
         }
-        let spacing = self.spacing_mm.unwrap_or([1.0; 3]).map(|l| l * METRES_PER_MM);
+        let spacing = self
+            .spacing_mm
+            .unwrap_or([1.0; 3])
+            .map(|l| l * METRES_PER_MM);
         check_directions(&DMat3::from_diagonal(DVec3::from_array(spacing)))
             .ok()
             .filter(|()| spacing.iter().all(|&length| length > 0.0))
@@ -193,11 +200,19 @@ pub(super) fn read(
         expected: expected.into(),
     };
     if layout.dims.contains(&0) {
-        return Err(field("dims", format!("{:?}", layout.dims), "1 or more each"));
+        return Err(field(
+            "dims",
+            format!("{:?}", layout.dims),
+            "1 or more each",
+        ));
     }
     if !layout.slope.is_finite() || layout.slope == 0.0 || !layout.intercept.is_finite() {
         let found = format!("{} and {}", layout.slope, layout.intercept);
-        return Err(field("slope and intercept", found, "finite, and slope not 0"));
+        return Err(field(
+            "slope and intercept",
+            found,
+            "finite, and slope not 0",
+        ));
     }
     let geometry = layout.geometry(&path)?;
     input.skip(layout.offset)?;

@@ -42,5 +42,8 @@ pub(super) fn contents(count: u64, kind: &str) -> Vec<Content> {
 
 /// What to tell of a file that holds several.
 pub(super) fn notice(count: u64, what: &str, entry: u64) -> String {
-    format!("the file has {count} {what}: this is number {}; another can be chosen", entry + 1)
+    format!(
+        "the file has {count} {what}: this is number {}; another can be chosen",
+        entry + 1
+    )
 }

@@ -82,9 +82,8 @@ pub enum WriteError {
 /// (see [`Volume::is_rounded`], [`Volume::replaced`]) and `lossy` is false; if writing fails. The
 /// file may then be there in part.
 pub fn write(volume: &Volume, path: &Path, lossy: bool) -> Result<(), WriteError> {
-    let format = OutputFormat::of(path).ok_or_else(|| WriteError::UnknownFormat {
-        path: path.into(),
-    })?;
+    let format =
+        OutputFormat::of(path).ok_or_else(|| WriteError::UnknownFormat { path: path.into() })?;
     let inexact = |what: String, way_out: &'static str| WriteError::Inexact {
         path: path.into(),
         what,

@@ -22,9 +22,8 @@ pub(super) fn header(volume: &Volume) -> Result<Vec<u8>, &'static str> {
     let mm = geometry.metres_from_index * 1e3;
     let origin = geometry.origin * 1e3;
     let spacing = geometry.spacing().map(|length| length * 1e3);
-    let rows: [[f64; 4]; 3] = std::array::from_fn(|row| {
-        [mm.x_axis[row], mm.y_axis[row], mm.z_axis[row], origin[row]]
-    });
+    let rows: [[f64; 4]; 3] =
+        std::array::from_fn(|row| [mm.x_axis[row], mm.y_axis[row], mm.z_axis[row], origin[row]]);
     let short = |number: f64| {
         let near = f64::from(number as f32);
         (near - number).abs() <= ROUND_TRIP * number.abs()
@@ -48,7 +47,11 @@ pub(super) fn header(volume: &Volume) -> Result<Vec<u8>, &'static str> {
     };
     let bits = 8 * volume.voxels().kind().bytes() as i16;
     let sform = if geometry.oriented { CODE_SCANNER } else { 0 };
-    let intent = if volume.labels().is_some() { INTENT_LABEL } else { 0 };
+    let intent = if volume.labels().is_some() {
+        INTENT_LABEL
+    } else {
+        0
+    };
     let dims = volume.dims();
 
     let mut bytes = Bytes(vec![0; if is_one { 352 } else { 544 }]);

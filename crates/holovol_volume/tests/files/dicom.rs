@@ -151,9 +151,21 @@ fn several_series_are_listed_and_one_is_chosen() {
             .with_text(0x0008_103e, "thin")
             .with_text(0x0008_0060, "MR")
     };
-    let study = Study::new(&[second(0.0), first(0.0), second(1.0), first(2.0), second(2.0)]);
+    let study = Study::new(&[
+        second(0.0),
+        first(0.0),
+        second(1.0),
+        first(2.0),
+        second(2.0),
+    ]);
     let text = study.error().to_string();
-    for part in ["2 series", "1: CT", "2: MR \"thin\"", "2 × 2 × 3", "spacing 0.5 × 0.5 × 1 mm"] {
+    for part in [
+        "2 series",
+        "1: CT",
+        "2: MR \"thin\"",
+        "2 × 2 × 3",
+        "spacing 0.5 × 0.5 × 1 mm",
+    ] {
         assert!(text.contains(part), "{text} lacks {part}");
     }
     let listed = contents(study.path(), &ReadOptions::default()).expect("a list");
@@ -174,7 +186,10 @@ fn missing_slices_are_told_and_interpolated_on_demand() {
     let volume = study.volume();
     assert_eq!(volume.dims()[2], 5);
     assert!(notices(&volume).contains("2 slices are missing, the first after slice 3"));
-    assert!((volume.geometry().spacing()[2] - 1.5e-3).abs() < 1e-12, "its extent is true");
+    assert!(
+        (volume.geometry().spacing()[2] - 1.5e-3).abs() < 1e-12,
+        "its extent is true"
+    );
     let options = ReadOptions::default().with_fill_missing_slices(true);
     let filled = open_with(study.path(), &options, &mut |_| {}).expect("it can be read");
     assert_eq!(filled.dims()[2], 7);
@@ -188,16 +203,21 @@ fn missing_slices_are_told_and_interpolated_on_demand() {
 fn uneven_spacing_and_tilt_are_told() {
     let study = Study::new(&[0.0, 1.0, 2.3, 3.0].map(|z| Slice::at(z, [1; 4])));
     let text = notices(&study.volume());
-    assert!(text.contains("unevenly spaced: 0.700 to 1.300 mm"), "{text}");
+    assert!(
+        text.contains("unevenly spaced: 0.700 to 1.300 mm"),
+        "{text}"
+    );
     assert!(text.contains("0.300 mm off"), "{text}");
 
-    let tilted = [0.0, 1.0, 2.0].map(|z| {
-        Slice::at(z, [1; 4]).with_text(0x0020_0032, &format!("0\\{}\\{z}", 0.5 * z))
-    });
+    let tilted = [0.0, 1.0, 2.0]
+        .map(|z| Slice::at(z, [1; 4]).with_text(0x0020_0032, &format!("0\\{}\\{z}", 0.5 * z)));
     let volume = Study::new(&tilted).volume();
     assert!(notices(&volume).contains("26.6°"), "{}", notices(&volume));
     let step = volume.geometry().metres_from_index.z_axis;
-    assert!((step - glam::DVec3::new(0.0, -5e-4, 1e-3)).length() < 1e-12, "{step}");
+    assert!(
+        (step - glam::DVec3::new(0.0, -5e-4, 1e-3)).length() < 1e-12,
+        "{step}"
+    );
 }
 
 #[test]
@@ -224,7 +244,10 @@ fn scaling_window_padding_and_inversion_are_understood() {
     assert_eq!(values(&volume), [-2047.0, -1.0, 2047.0, 0.0]);
 
     let padded = Slice::at(0.0, [5, 9, 63_536, 7]).with_number(0x0028_0120, 63_536);
-    assert_eq!(values(&Study::new(&[padded]).volume()), [5.0, 9.0, 5.0, 7.0]);
+    assert_eq!(
+        values(&Study::new(&[padded]).volume()),
+        [5.0, 9.0, 5.0, 7.0]
+    );
 
     let inverted = Slice::at(0.0, [5, 9, 6, 7]).with_text(0x0028_0004, "MONOCHROME1");
     let volume = Study::new(&[inverted]).volume();
@@ -245,11 +268,26 @@ fn what_is_wrong_is_named_without_the_patient() {
     let good = |z: f64| Slice::at(z, [1; 4]);
     for (slice, parts) in [
         (good(0.0).with_number(0x0028_0010, 3), ["12 bytes", "0.dcm"]),
-        (good(0.0).with_number(0x0028_0101, 17), ["Bits Stored", "17"]),
-        (good(0.0).with_text(0x0028_0030, SECRET), ["(0028,0030)", "text of 11"]),
-        (good(0.0).with_text(0x0020_0032, "1\\2"), ["(0020,0032)", "2 numbers"]),
-        (good(0.0).with_text(0x0028_0004, "RGB"), ["in colour (RGB)", "DICOM image"]),
-        (good(0.0).with_number(0x0028_0100, 12), ["12 bits", "DICOM image"]),
+        (
+            good(0.0).with_number(0x0028_0101, 17),
+            ["Bits Stored", "17"],
+        ),
+        (
+            good(0.0).with_text(0x0028_0030, SECRET),
+            ["(0028,0030)", "text of 11"],
+        ),
+        (
+            good(0.0).with_text(0x0020_0032, "1\\2"),
+            ["(0020,0032)", "2 numbers"],
+        ),
+        (
+            good(0.0).with_text(0x0028_0004, "RGB"),
+            ["in colour (RGB)", "DICOM image"],
+        ),
+        (
+            good(0.0).with_number(0x0028_0100, 12),
+            ["12 bits", "DICOM image"],
+        ),
     ] {
         let text = Study::new(&[slice]).error().to_string();
         for part in parts {
@@ -262,7 +300,10 @@ fn what_is_wrong_is_named_without_the_patient() {
         let study = Study::new(&[]);
         fs::write(study.path().join("cut.dcm"), &whole[..length]).expect("written");
         let text = study.error().to_string();
-        assert!(text.contains("cut.dcm") || text.contains("DICOM image"), "{text}");
+        assert!(
+            text.contains("cut.dcm") || text.contains("DICOM image"),
+            "{text}"
+        );
     }
 }
 
@@ -277,7 +318,10 @@ fn every_flipped_bit_of_a_header_is_survived_and_tells_no_name() {
             Ok(volume) => format!("{volume:?}"),
             Err(error) => format!("{error} {error:?}"),
         };
-        assert!(!text.contains("SECRE") && !text.contains("^NAME"), "{bit}: {text}");
+        assert!(
+            !text.contains("SECRE") && !text.contains("^NAME"),
+            "{bit}: {text}"
+        );
     }
 }
 
@@ -291,7 +335,7 @@ fn loops_of_links_end_and_unreadable_files_are_named() {
     assert_eq!(study.volume().dims()[2], 2);
     let closed = study.path().join("closed");
     fs::write(&closed, b"x").expect("written");
-    fs::set_permissions(&closed, fs::Permissions::from_mode(0)).expect("set");
+    fs::set_permissions(&closed, fs::Permissions::from_mode(0o0)).expect("set");
     // Root may read everything.
     if fs::read(&closed).is_err() {
         assert!(study.error().to_string().contains("closed"));

@@ -25,7 +25,11 @@ fn same(a: &Volume, b: &Volume, name: &str) {
     assert_eq!(values(a), values(b), "{name}");
     assert_eq!(a.geometry().oriented, b.geometry().oriented, "{name}");
     let difference = a.world_from_unit_cube() - b.world_from_unit_cube();
-    let worst = difference.to_cols_array().map(f64::abs).into_iter().fold(0.0, f64::max);
+    let worst = difference
+        .to_cols_array()
+        .map(f64::abs)
+        .into_iter()
+        .fold(0.0, f64::max);
     assert!(worst < 1e-14, "{name}: {worst}");
 }
 
@@ -36,7 +40,11 @@ fn phantoms_survive_every_format() {
     for source in ["itk.nrrd", "dicom_tilted", "ome.ome.tif", "sidecar.raw"] {
         let volume = formats::open(source);
         for name in NAMES {
-            same(&volume, &round_trip(&volume, name), &format!("{source} to {name}"));
+            same(
+                &volume,
+                &round_trip(&volume, name),
+                &format!("{source} to {name}"),
+            );
         }
     }
     let free = formats::open("float.vdb");

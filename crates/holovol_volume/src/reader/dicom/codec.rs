@@ -107,7 +107,9 @@ fn jpeg_2000(bytes: &[u8], pixels: &Pixels) -> Result<Numbers, String> {
         (0, 0, 2 * half - 1)
     };
     let number = |&sample: &f32| (sample.round() as i32 - offset).clamp(low, high) as u16;
-    Ok(Numbers::Words(component.samples().iter().map(number).collect()))
+    Ok(Numbers::Words(
+        component.samples().iter().map(number).collect(),
+    ))
 }
 
 /// What the SIZ segment of a codestream says.

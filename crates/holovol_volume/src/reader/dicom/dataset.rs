@@ -112,7 +112,11 @@ impl<'a> Dataset<'a> {
             items: 0,
         };
         let mut meta = Dataset::default();
-        while bytes.get(parser.at..).unwrap_or_default().starts_with(&[2, 0]) {
+        while bytes
+            .get(parser.at..)
+            .unwrap_or_default()
+            .starts_with(&[2, 0])
+        {
             let element = parser.element_header()?;
             parser.value(&element, 0, &mut meta)?;
         }
@@ -257,8 +261,19 @@ impl<'a> Parser<'a> {
         }
         let long = matches!(
             &vr,
-            b"OB" | b"OD" | b"OF" | b"OL" | b"OV" | b"OW" | b"SQ" | b"SV" | b"UC" | b"UN" | b"UR"
-                | b"UT" | b"UV"
+            b"OB"
+                | b"OD"
+                | b"OF"
+                | b"OL"
+                | b"OV"
+                | b"OW"
+                | b"SQ"
+                | b"SV"
+                | b"UC"
+                | b"UN"
+                | b"UR"
+                | b"UT"
+                | b"UV"
         );
         let length = if long {
             self.u16()?;
@@ -331,14 +346,20 @@ impl<'a> Parser<'a> {
         let start = self.at;
         while end.is_none_or(|end| self.at < end) {
             if items.len() > SMALL_ITEMS_MAX && (self.at - start) / items.len() < SMALL_ITEM_BYTES {
-                return Err(Failure::Damaged("a sequence holds thousands of empty items"));
+                return Err(Failure::Damaged(
+                    "a sequence holds thousands of empty items",
+                ));
             }
             let tag = self.tag()?;
             let length = self.u32()?;
             match tag {
                 tags::ITEM => {}
                 tags::SEQUENCE_END if end.is_none() => break,
-                _ => return Err(Failure::Damaged("a sequence holds something else than items")),
+                _ => {
+                    return Err(Failure::Damaged(
+                        "a sequence holds something else than items",
+                    ));
+                }
             }
             self.items += 1;
             if self.items > ITEMS_MAX {

@@ -93,8 +93,8 @@ fn fragments(source: &Source<'_>, image: &Image) -> Result<Vec<Vec<(u64, u64)>>,
             return Err("cut off");
         }
         let [t0, t1, t2, t3, length @ ..] = header;
-        let tag = u32::from(u16::from_le_bytes([t0, t1])) << 16
-            | u32::from(u16::from_le_bytes([t2, t3]));
+        let tag =
+            u32::from(u16::from_le_bytes([t0, t1])) << 16 | u32::from(u16::from_le_bytes([t2, t3]));
         let length = u64::from(u32::from_le_bytes(length));
         let offset = at + ITEM_HEADER;
         match tag {
@@ -121,7 +121,9 @@ fn fragments(source: &Source<'_>, image: &Image) -> Result<Vec<Vec<(u64, u64)>>,
         return Ok(all.into_iter().map(|fragment| vec![fragment]).collect());
     }
     // Frames of several fragments begin where the offset table says.
-    let table = source.read_vec(table.0, table.1).map_err(|_| "unreadable")?;
+    let table = source
+        .read_vec(table.0, table.1)
+        .map_err(|_| "unreadable")?;
     let (offsets, _) = table.as_chunks::<4>();
     if offsets.len() != frames {
         return Err("without a table of where its frames begin");

@@ -179,7 +179,11 @@ impl Start {
     }
 
     pub fn find(bytes: &[u8]) -> Option<Self> {
-        if bytes.get(PREAMBLE..).unwrap_or_default().starts_with(b"DICM") {
+        if bytes
+            .get(PREAMBLE..)
+            .unwrap_or_default()
+            .starts_with(b"DICM")
+        {
             return Some(Self {
                 at: PREAMBLE + 4,
                 is_guess: false,
@@ -286,7 +290,9 @@ impl HeaderReader {
             Some(other) => Photometric::Other(other.chars().take(16).collect()),
         };
         let bits_allocated = needed(tags::BITS_ALLOCATED, "Bits Allocated (0028,0100)")?;
-        let bits_stored = dataset.unsigned(tags::BITS_STORED).unwrap_or(bits_allocated);
+        let bits_stored = dataset
+            .unsigned(tags::BITS_STORED)
+            .unwrap_or(bits_allocated);
         let pixels = Pixels {
             rows: needed(tags::ROWS, "Rows (0028,0010)")?,
             columns: needed(tags::COLUMNS, "Columns (0028,0011)")?,
@@ -324,7 +330,10 @@ impl HeaderReader {
                 ));
             }
         };
-        let available = data.length.unwrap_or(u64::MAX).min(length.saturating_sub(data.offset));
+        let available = data
+            .length
+            .unwrap_or(u64::MAX)
+            .min(length.saturating_sub(data.offset));
         let frame_bytes = match syntax.codec {
             Codec::Native => pixels.frame_bytes().max(1),
             // An item's header, and something in it.
@@ -398,7 +407,9 @@ impl HeaderReader {
 
     /// The first of the numbers in a text element.
     fn number(&self, dataset: &Dataset<'_>, tag: Tag) -> Result<Option<f64>, VolumeError> {
-        Ok(self.numbers(dataset, tag)?.and_then(|list| list.first().copied()))
+        Ok(self
+            .numbers(dataset, tag)?
+            .and_then(|list| list.first().copied()))
     }
 
     fn numbers(&self, dataset: &Dataset<'_>, tag: Tag) -> Result<Option<Vec<f64>>, VolumeError> {
@@ -508,9 +519,12 @@ impl HeaderReader {
                     tags::SLICE_THICKNESS,
                 )?,
                 between,
-                slope: or_top(self.number(transform, tags::RESCALE_SLOPE)?, tags::RESCALE_SLOPE)?
-                    .filter(|&slope| slope != 0.0)
-                    .unwrap_or(1.0),
+                slope: or_top(
+                    self.number(transform, tags::RESCALE_SLOPE)?,
+                    tags::RESCALE_SLOPE,
+                )?
+                .filter(|&slope| slope != 0.0)
+                .unwrap_or(1.0),
                 intercept: or_top(
                     self.number(transform, tags::RESCALE_INTERCEPT)?,
                     tags::RESCALE_INTERCEPT,
@@ -548,8 +562,12 @@ impl HeaderReader {
             .flatten()
             .find_map(|groups| groups.item(tags::FRAME_WINDOW_SEQUENCE))
             .unwrap_or(dataset);
-        let centers = self.numbers(source, tags::WINDOW_CENTER)?.unwrap_or_default();
-        let widths = self.numbers(source, tags::WINDOW_WIDTH)?.unwrap_or_default();
+        let centers = self
+            .numbers(source, tags::WINDOW_CENTER)?
+            .unwrap_or_default();
+        let widths = self
+            .numbers(source, tags::WINDOW_WIDTH)?
+            .unwrap_or_default();
         let names = source.text(tags::WINDOW_EXPLANATION).unwrap_or_default();
         let mut names = names.split('\\');
         let function = source.text(tags::VOI_FUNCTION).unwrap_or_default();

@@ -139,7 +139,11 @@ struct Parameters {
 impl Parameters {
     fn new(presets: &Presets, precision: u8, near: i32) -> Result<Self, Problem> {
         let full = (1 << precision) - 1;
-        let maxval = if presets.maxval == 0 { full } else { presets.maxval };
+        let maxval = if presets.maxval == 0 {
+            full
+        } else {
+            presets.maxval
+        };
         if maxval > full || near > (maxval / 2).min(255) {
             return Err("its parameters are out of range");
         }
@@ -156,7 +160,11 @@ impl Parameters {
         if t1 < near + 1 || t2 < t1 || t3 < t2 || t3 > maxval.max(near + 1) {
             return Err("its thresholds are out of range");
         }
-        let reset = if presets.reset == 0 { 64 } else { presets.reset };
+        let reset = if presets.reset == 0 {
+            64
+        } else {
+            presets.reset
+        };
         if reset < 3 {
             return Err("its reset interval is out of range");
         }
@@ -180,7 +188,13 @@ fn bits(n: i32) -> u32 {
 /// T.87, C.2.4.1.1.1.
 fn default_thresholds(maxval: i32, near: i32) -> [i32; 3] {
     const BASIC: [i32; 3] = [3, 7, 21];
-    let within = |value: i32, low: i32| if value > maxval || value < low { low } else { value };
+    let within = |value: i32, low: i32| {
+        if value > maxval || value < low {
+            low
+        } else {
+            value
+        }
+    };
     let mut low = near + 1;
     let mut thresholds = [0; 3];
     for (index, (threshold, basic)) in thresholds.iter_mut().zip(BASIC).enumerate() {
@@ -450,7 +464,9 @@ impl<'a> Scan<'a> {
                 return Ok(length);
             }
         }
-        let rest = self.bits.take(J.get(self.run_index).copied().unwrap_or(0))? as usize;
+        let rest = self
+            .bits
+            .take(J.get(self.run_index).copied().unwrap_or(0))? as usize;
         length += rest;
         if length >= left {
             return Err("a run is longer than its line");

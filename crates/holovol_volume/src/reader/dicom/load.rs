@@ -81,12 +81,19 @@ pub(super) fn load(
     };
     let image = image_of(first).ok_or_else(|| VolumeError::Changed { path: path.into() })?;
     let scaling = |slice: &Slice| (slice.frame.slope, slice.frame.intercept);
-    let same_scaling = stack.slices.iter().all(|slice| scaling(slice) == scaling(first));
+    let same_scaling = stack
+        .slices
+        .iter()
+        .all(|slice| scaling(slice) == scaling(first));
     let pixels = image.pixels;
     let kind = StoredKind::of(&pixels, same_scaling);
 
     let fill = options.fill_missing_slices && !stack.gaps.is_empty();
-    let count = if fill { stack.filled_count() } else { stack.slices.len() };
+    let count = if fill {
+        stack.filled_count()
+    } else {
+        stack.slices.len()
+    };
     let bytes = pixels
         .count()
         .checked_mul(kind.bytes() as u64)
@@ -114,8 +121,16 @@ pub(super) fn load(
     };
     let rounded = loading.rounded.load(Ordering::Relaxed) || fill;
 
-    let (slope, intercept) = if same_scaling { scaling(first) } else { (1.0, 0.0) };
-    let geometry = if fill { stack.filled_geometry() } else { stack.geometry };
+    let (slope, intercept) = if same_scaling {
+        scaling(first)
+    } else {
+        (1.0, 0.0)
+    };
+    let geometry = if fill {
+        stack.filled_geometry()
+    } else {
+        stack.geometry
+    };
     let dims = [
         pixels.columns.into(),
         pixels.rows.into(),
@@ -434,7 +449,11 @@ impl<'a> Loading<'a> {
                         voxels.get(index).map_or(0.0, |voxel| voxel.to_f64())
                     };
                     let value = at(before) + (at(after) - at(before)) * weight;
-                    let value = if size_of::<T>() < 4 { value.round() } else { value };
+                    let value = if size_of::<T>() < 4 {
+                        value.round()
+                    } else {
+                        value
+                    };
                     if let Some(voxel) = voxels.get_mut(place * self.frame_len + pixel) {
                         *voxel = T::from_scaled(value);
                     }
@@ -447,7 +466,8 @@ impl<'a> Loading<'a> {
 impl Conversion {
     /// Whether voxels are the file's bytes as they are.
     fn is_copy<T: Stored>(&self, big_endian: bool) -> bool {
-        let same_order = self.pixels.bits_allocated == 8 || big_endian == cfg!(target_endian = "big");
+        let same_order =
+            self.pixels.bits_allocated == 8 || big_endian == cfg!(target_endian = "big");
         let whole = self.pixels.bits_stored == self.pixels.bits_allocated;
         let same_type = size_of::<T>() == usize::from(self.pixels.bits_allocated / 8)
             && (size_of::<T>() < 4 || self.pixels.float);

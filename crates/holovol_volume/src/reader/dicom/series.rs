@@ -41,11 +41,7 @@ impl Study {
     ///
     /// # Errors
     /// If a DICOM file is damaged, a file can't be read, or reading is cancelled.
-    pub fn find(
-        files: &dyn Files,
-        path: &Path,
-        cancel: &CancelFlag,
-    ) -> Result<Self, VolumeError> {
+    pub fn find(files: &dyn Files, path: &Path, cancel: &CancelFlag) -> Result<Self, VolumeError> {
         let mut images = Vec::new();
         parallel::for_each(
             0..files.count(),
@@ -277,10 +273,7 @@ fn describe(image: &Image, stack: &Stack) -> Content {
 fn number_equals(series: &mut [Series]) {
     let mut counts: HashMap<String, (usize, usize)> = HashMap::new();
     for one in series.iter() {
-        counts
-            .entry(one.content.description.clone())
-            .or_default()
-            .0 += 1;
+        counts.entry(one.content.description.clone()).or_default().0 += 1;
     }
     for one in series.iter_mut() {
         if let Some((count, told)) = counts.get_mut(&one.content.description)

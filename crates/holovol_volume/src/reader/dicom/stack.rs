@@ -80,7 +80,9 @@ impl Stack {
                 .collect();
         }
         let left_out: usize = places.iter().map(|place| place.len() - 1).sum();
-        let firsts = places.into_iter().filter_map(|place| place.into_iter().next());
+        let firsts = places
+            .into_iter()
+            .filter_map(|place| place.into_iter().next());
         let mut stack = Self::placed(firsts.collect());
         if left_out > 0 {
             stack.notices.push(format!(
@@ -168,7 +170,9 @@ fn along_normal(frame: &Frame) -> Option<f64> {
     let [row, column] = frame.axes?;
     let normal = row.cross(column);
     (normal.length_squared() > 0.5).then_some(())?;
-    frame.position.map(|position| normal.normalize().dot(position))
+    frame
+        .position
+        .map(|position| normal.normalize().dot(position))
 }
 
 /// Lengths of a voxel step, mm; NaN where unknown.

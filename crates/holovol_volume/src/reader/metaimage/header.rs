@@ -162,7 +162,11 @@ impl Header {
         let mut dims = [1; 3];
         for (dim, size) in dims.iter_mut().zip(self.sizes()?) {
             *dim = u32::try_from(size).map_err(|_| {
-                self.error("DimSize", size.to_string(), "at most 4294967295 along an axis")
+                self.error(
+                    "DimSize",
+                    size.to_string(),
+                    "at most 4294967295 along an axis",
+                )
             })?;
         }
         Ok(dims)
@@ -173,9 +177,8 @@ impl Header {
             return Ok(1);
         };
         let channels = text.parse().ok().filter(|&channels| channels > 0);
-        channels.ok_or_else(|| {
-            self.error("ElementNumberOfChannels", format!("{text:?}"), "1 or more")
-        })
+        channels
+            .ok_or_else(|| self.error("ElementNumberOfChannels", format!("{text:?}"), "1 or more"))
     }
 
     pub fn number_type(&self) -> Result<NumberType, VolumeError> {
@@ -278,7 +281,11 @@ impl Header {
                     return DVec3::ZERO;
                 }
                 let entry = |row: usize| {
-                    if row < axes { at(&matrix, axis * axes + row).unwrap_or(0.0) } else { 0.0 }
+                    if row < axes {
+                        at(&matrix, axis * axes + row).unwrap_or(0.0)
+                    } else {
+                        0.0
+                    }
                 };
                 DVec3::new(entry(0), entry(1), entry(2))
             });
@@ -353,7 +360,11 @@ pub(in crate::reader) fn numbered(
     let (first, last, step) = (first?, last?, step.filter(|&step| step > 0)?);
     let (before, rest) = pattern.split_once('%')?;
     let (digits, after) = rest.split_once('d')?;
-    let width: usize = if digits.is_empty() { 0 } else { digits.parse().ok()? };
+    let width: usize = if digits.is_empty() {
+        0
+    } else {
+        digits.parse().ok()?
+    };
     if width > 20 || first > last || (last - first) / step >= FILES_MAX as u64 {
         return None;
     }

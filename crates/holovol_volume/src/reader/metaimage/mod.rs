@@ -91,11 +91,19 @@ impl VolumeReader for MetaImageReader {
             }
         }
         if packed {
-            let at_most = data.at_most().map(|packed| packed.saturating_mul(DEFLATE_RATIO_MAX));
+            let at_most = data
+                .at_most()
+                .map(|packed| packed.saturating_mul(DEFLATE_RATIO_MAX));
             data = data.filtered(at_most, |bytes| ZlibDecoder::new(BufReader::new(bytes)));
         }
         let rest = sizes.iter().skip(3).product::<u64>();
-        let entry = select::entry(options, data.path(), channels.max(rest), "channel", "volume")?;
+        let entry = select::entry(
+            options,
+            data.path(),
+            channels.max(rest),
+            "channel",
+            "volume",
+        )?;
         let number_bytes = number.bytes() as u64;
         let voxels: u64 = dims.iter().map(|&n| u64::from(n)).product();
         let mut data = if channels > 1 {

@@ -108,7 +108,8 @@ impl VolumeReader for NiftiReader {
         }
 
         let mut volume = Volume::new(voxels, layout.dims, slope, intercept, geometry)?
-            .with_rounded(rounded).with_source_format(SourceFormat {
+            .with_rounded(rounded)
+            .with_source_format(SourceFormat {
                 name: header.format(),
                 numbers: layout.number.name(),
             });
@@ -147,9 +148,11 @@ impl VolumeReader for NiftiReader {
 /// The header of a pair, where its image was named.
 fn header_of_image<'a>(input: &mut Input<'a>) -> Result<Option<Input<'a>>, VolumeError> {
     let name = input.path().to_string_lossy().into_owned();
-    let stem = [".img", ".img.gz"]
-        .iter()
-        .find_map(|end| name.len().checked_sub(end.len()).filter(|_| name.to_lowercase().ends_with(end)));
+    let stem = [".img", ".img.gz"].iter().find_map(|end| {
+        name.len()
+            .checked_sub(end.len())
+            .filter(|_| name.to_lowercase().ends_with(end))
+    });
     let Some(stem) = stem.and_then(|length| name.get(..length)) else {
         return Ok(None);
     };
@@ -164,19 +167,22 @@ fn image_of_header(input: &Input<'_>) -> Result<Input<'static>, VolumeError> {
     let name = input.path().to_string_lossy().into_owned();
     let stem = [".hdr", ".hdr.gz"]
         .iter()
-        .find_map(|end| name.len().checked_sub(end.len()).filter(|_| name.to_lowercase().ends_with(end)))
+        .find_map(|end| {
+            name.len()
+                .checked_sub(end.len())
+                .filter(|_| name.to_lowercase().ends_with(end))
+        })
         .and_then(|length| name.get(..length))
         .unwrap_or(&name);
     open_first(input, stem, &[".img", ".IMG", ".img.gz"])?.gunzip_if_packed()
 }
 
 /// Opens the first file that is there; the first one's error if none is.
-fn open_first(
-    input: &Input<'_>,
-    stem: &str,
-    ends: &[&str],
-) -> Result<Input<'static>, VolumeError> {
-    let stem = Path::new(stem).file_name().unwrap_or_default().to_string_lossy();
+fn open_first(input: &Input<'_>, stem: &str, ends: &[&str]) -> Result<Input<'static>, VolumeError> {
+    let stem = Path::new(stem)
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy();
     let mut first = None;
     for end in ends {
         match input.open_sibling(&format!("{stem}{end}")) {

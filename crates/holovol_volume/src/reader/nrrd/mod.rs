@@ -84,14 +84,17 @@ impl VolumeReader for NrrdReader {
         }
 
         if entry > 0 {
-            notices.push(format!("of the slowest of those axes this is entry {}", entry + 1));
+            notices.push(format!(
+                "of the slowest of those axes this is entry {}",
+                entry + 1
+            ));
         }
-        let mut volume = Volume::new(voxels, layout.dims, 1.0, 0.0, geometry)?.with_rounded(rounded).with_source_format(
-            SourceFormat {
+        let mut volume = Volume::new(voxels, layout.dims, 1.0, 0.0, geometry)?
+            .with_rounded(rounded)
+            .with_source_format(SourceFormat {
                 name: self.name(),
                 numbers: number.name(),
-            },
-        );
+            });
         if let Some(labels) = header.labels() {
             volume = volume.with_labels(labels);
         }

@@ -83,7 +83,9 @@ impl Description {
 
     /// Planes in all, if that can be counted.
     pub fn planes(&self) -> Option<usize> {
-        self.slices.checked_mul(self.channels)?.checked_mul(self.times)
+        self.slices
+            .checked_mul(self.channels)?
+            .checked_mul(self.times)
     }
 }
 
@@ -94,7 +96,11 @@ fn imagej(text: &str) -> Option<Description> {
             .find(|(key, _)| key.trim() == name)
             .map(|(_, value)| value.trim())
     };
-    let count = |name: &str| value(name).and_then(|n| n.parse::<usize>().ok()).filter(|&n| n > 0);
+    let count = |name: &str| {
+        value(name)
+            .and_then(|n| n.parse::<usize>().ok())
+            .filter(|&n| n > 0)
+    };
     let images = count("images").unwrap_or(1);
     let channels = count("channels").unwrap_or(1);
     let times = count("frames").unwrap_or(1);
@@ -109,7 +115,11 @@ fn imagej(text: &str) -> Option<Description> {
         times,
         order: [Axis::Channel, Axis::Slice, Axis::Time],
         // Along x and y the resolution tags say it, in the same unit.
-        spacing: [unit, unit, depth.zip(unit).map(|(depth, unit)| depth.abs() * unit)],
+        spacing: [
+            unit,
+            unit,
+            depth.zip(unit).map(|(depth, unit)| depth.abs() * unit),
+        ],
         channel_names: Vec::new(),
         pages: Vec::new(),
         elsewhere: None,
@@ -123,7 +133,9 @@ fn ome(text: &str) -> Option<Description> {
         ..roxmltree::ParsingOptions::default()
     };
     let tree = roxmltree::Document::parse_with_options(text, options).ok()?;
-    let pixels = tree.descendants().find(|node| node.tag_name().name() == "Pixels")?;
+    let pixels = tree
+        .descendants()
+        .find(|node| node.tag_name().name() == "Pixels")?;
     let count = |name: &str| {
         pixels
             .attribute(name)
@@ -181,7 +193,9 @@ fn ome(text: &str) -> Option<Description> {
     };
     let mut names = Vec::new();
     for data in children("TiffData") {
-        let uuid = data.children().find(|node| node.tag_name().name() == "UUID");
+        let uuid = data
+            .children()
+            .find(|node| node.tag_name().name() == "UUID");
         if let Some(name) = uuid.and_then(|uuid| uuid.attribute("FileName")) {
             names.push(name.to_owned());
         }

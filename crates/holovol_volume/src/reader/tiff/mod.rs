@@ -75,7 +75,11 @@ impl VolumeReader for TiffReader {
         _options: &ReadOptions,
     ) -> Result<Vec<Content>, VolumeError> {
         let contents = Stack::open(input)?.contents();
-        Ok(if contents.len() > 1 { contents } else { Vec::new() })
+        Ok(if contents.len() > 1 {
+            contents
+        } else {
+            Vec::new()
+        })
     }
 }
 
@@ -113,7 +117,9 @@ impl Page {
     /// Bytes of a page with all its samples.
     fn stored_bytes(&self) -> usize {
         let samples = if self.planar { 1 } else { self.samples.into() };
-        self.len().saturating_mul(self.number.bytes()).saturating_mul(samples)
+        self.len()
+            .saturating_mul(self.number.bytes())
+            .saturating_mul(samples)
     }
 }
 
@@ -250,7 +256,9 @@ impl<'a> Stack<'a> {
         let mut spacing = description.spacing;
         if description.is_imagej {
             for (length, resolution) in spacing.iter_mut().zip(resolution) {
-                *length = (*length).zip(resolution).map(|(unit, per_unit)| unit / per_unit);
+                *length = (*length)
+                    .zip(resolution)
+                    .map(|(unit, per_unit)| unit / per_unit);
             }
         }
         Ok(Self {
@@ -303,13 +311,11 @@ impl<'a> Stack<'a> {
         let contents = self.contents();
         let index = match &options.choice {
             None => 0,
-            Some(choice) => {
-                chosen(choice, &contents).ok_or_else(|| VolumeError::NoSuchChoice {
-                    path: self.path.clone(),
-                    choice: choice.clone(),
-                    contents: contents.clone(),
-                })?
-            }
+            Some(choice) => chosen(choice, &contents).ok_or_else(|| VolumeError::NoSuchChoice {
+                path: self.path.clone(),
+                choice: choice.clone(),
+                contents: contents.clone(),
+            })?,
         };
         let samples = usize::from(self.page.samples);
         let per_time = self.description.channels * samples;
@@ -385,7 +391,12 @@ impl<'a> Stack<'a> {
                 .push("the file gives no distance of slices: taken as the pixels' width".into());
         }
         let lengths = [x, y, z].map(|length| length.unwrap_or(missing));
-        Geometry::from_spacing(checked_spacing(lengths, 1.0, "spacing (m)", &mut self.notices))
+        Geometry::from_spacing(checked_spacing(
+            lengths,
+            1.0,
+            "spacing (m)",
+            &mut self.notices,
+        ))
     }
 }
 
@@ -400,7 +411,9 @@ fn page(decoder: &mut PageDecoder<'_>, path: &std::path::Path) -> Result<Page, V
     let (width, height) = decoder.dimensions().map_err(error)?;
     let color = decoder.colortype().map_err(error)?;
     if matches!(color, ColorType::Palette(_)) {
-        return Err(unsupported("its pixels are numbers of colours in a palette".into()));
+        return Err(unsupported(
+            "its pixels are numbers of colours in a palette".into(),
+        ));
     }
     let bits = color.bit_depth();
     let samples: u16 = decoder

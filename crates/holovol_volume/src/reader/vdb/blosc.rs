@@ -90,7 +90,11 @@ fn unpack(codec: u8, packed: &[u8], out: &mut [u8]) -> Result<(), String> {
             out.len()
         }
         0 => return Err("packed with BloscLZ, which OpenVDB does not do".into()),
-        other => return Err(format!("packed with codec {other}, which OpenVDB does not do")),
+        other => {
+            return Err(format!(
+                "packed with codec {other}, which OpenVDB does not do"
+            ));
+        }
     };
     if count == out.len() {
         Ok(())
@@ -103,7 +107,11 @@ fn unpack(codec: u8, packed: &[u8], out: &mut [u8]) -> Result<(), String> {
 fn unshuffle(block: &[u8], type_size: usize, out: &mut [u8]) {
     let numbers = block.len() / type_size;
     let whole = numbers * type_size;
-    for (byte, plane) in block.chunks_exact(numbers.max(1)).take(type_size).enumerate() {
+    for (byte, plane) in block
+        .chunks_exact(numbers.max(1))
+        .take(type_size)
+        .enumerate()
+    {
         for (to, from) in out.iter_mut().skip(byte).step_by(type_size).zip(plane) {
             *to = *from;
         }

@@ -83,7 +83,11 @@ pub(super) fn list(stream: &mut Stream<'_>) -> Result<Vec<Descriptor>, VolumeErr
     stream.skip_metadata()?;
     let count = stream.u32()?;
     if count > GRIDS_MAX {
-        return Err(stream.error("number of grids", count.to_string(), format!("at most {GRIDS_MAX}")));
+        return Err(stream.error(
+            "number of grids",
+            count.to_string(),
+            format!("at most {GRIDS_MAX}"),
+        ));
     }
     let mut grids = Vec::new();
     for _ in 0..count {
@@ -116,7 +120,11 @@ pub(super) fn list(stream: &mut Stream<'_>) -> Result<Vec<Descriptor>, VolumeErr
         });
         // The next descriptor follows the grid. Going back would let a file be read for ever.
         if u64::try_from(end).is_ok_and(|end| end < stream.position()) {
-            return Err(stream.error("grid end", end.to_string(), "an offset after its descriptor"));
+            return Err(stream.error(
+                "grid end",
+                end.to_string(),
+                "an offset after its descriptor",
+            ));
         }
         stream.go_to(end, "grid end")?;
     }
@@ -184,9 +192,8 @@ impl Transform {
                 ));
             }
         };
-        check_directions(&transform.steps).map_err(|problem| {
-            stream.error("transform", problem, "independent steps in metres")
-        })?;
+        check_directions(&transform.steps)
+            .map_err(|problem| stream.error("transform", problem, "independent steps in metres"))?;
         if !transform.origin.is_finite() {
             return Err(stream.error("transform", "not finite", "a place in metres"));
         }

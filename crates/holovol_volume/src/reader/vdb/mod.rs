@@ -2,8 +2,8 @@
 //!
 //! What is active, tiles included, fills a dense volume; inactive voxels in its box have their
 //! stored values (the background, or the inside of a level set). Values may have any size. Lengths
-//! are metres. Own code: `vdb-rs` 0.6 leaves tiles out (the clouds have holes then), binds the C
-//! Blosc, and panics on damaged files.
+//! are metres. Own code: `vdb-rs` 0.6 reserves the lengths that a file claims, panics on what it does
+//! not know, and binds the C Blosc.
 
 mod blosc;
 mod grid;
@@ -55,7 +55,9 @@ impl VolumeReader for VdbReader {
         let file = VdbFile::open(input)?;
         let volume = file.read(options, progress)?;
         if let Source::File(file_now, length) = &file.source
-            && file_now.metadata().is_ok_and(|metadata| metadata.len() != *length)
+            && file_now
+                .metadata()
+                .is_ok_and(|metadata| metadata.len() != *length)
         {
             return Err(VolumeError::Changed { path: file.path });
         }
@@ -83,7 +85,11 @@ fn content(grid: &Descriptor) -> Content {
         description: format!(
             "{}{}",
             grid.values.map_or("", |values| values.name()),
-            if grid.is_half { " (stored as half)" } else { "" }
+            if grid.is_half {
+                " (stored as half)"
+            } else {
+                ""
+            }
         ),
         ..Content::default()
     }
@@ -103,7 +109,11 @@ impl<'a> VdbFile<'a> {
     }
 
     fn stream(&self) -> Stream<'a> {
-        Stream::new(self.source.cursor(0), self.path.clone(), self.source.length())
+        Stream::new(
+            self.source.cursor(0),
+            self.path.clone(),
+            self.source.length(),
+        )
     }
 
     fn choose<'g>(
@@ -122,7 +132,10 @@ impl<'a> VdbFile<'a> {
                     .map(|grid| format!("{} ({})", grid.name, grid.tree))
                     .collect();
                 return Err(stream.unsupported(
-                    format!("no grid of single numbers is in this file: [{}]", types.join(", ")),
+                    format!(
+                        "no grid of single numbers is in this file: [{}]",
+                        types.join(", ")
+                    ),
                     "save a float grid (Tree_float_5_4_3)",
                 ));
             }
@@ -140,9 +153,12 @@ impl<'a> VdbFile<'a> {
                 contents: contents.clone(),
             })?,
         };
-        there.get(index).copied().ok_or_else(|| VolumeError::Changed {
-            path: self.path.clone(),
-        })
+        there
+            .get(index)
+            .copied()
+            .ok_or_else(|| VolumeError::Changed {
+                path: self.path.clone(),
+            })
     }
 
     fn read(
@@ -174,7 +190,11 @@ impl<'a> VdbFile<'a> {
                         && other.values == grid.values
                 })
                 .ok_or_else(|| {
-                    stream.error("grid instance", grid.instance_of.clone(), "a grid of this file")
+                    stream.error(
+                        "grid instance",
+                        grid.instance_of.clone(),
+                        "a grid of this file",
+                    )
                 })?;
             stream.go_to(tree.grid_at, "grid offset")?;
             packing.compression = read_start(&mut stream)?.1;
@@ -233,8 +253,7 @@ impl<'a> VdbFile<'a> {
                     });
                 }
             }
-            let values =
-                tree::read_leaf(&mut stream, packing, topology.background, &mut rounded)?;
+            let values = tree::read_leaf(&mut stream, packing, topology.background, &mut rounded)?;
             dense.put_leaf(origin, &values);
         }
         progress(Progress {
@@ -251,7 +270,11 @@ impl<'a> VdbFile<'a> {
         .with_rounded(rounded)
         .with_source_format(SourceFormat {
             name: "OpenVDB",
-            numbers: if packing.is_half { "f16" } else { values.name() },
+            numbers: if packing.is_half {
+                "f16"
+            } else {
+                values.name()
+            },
         });
         if rounded {
             volume = volume.with_notice("values are kept as f32: some are rounded");

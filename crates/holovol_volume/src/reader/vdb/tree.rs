@@ -141,7 +141,8 @@ fn child(origin: [i32; 3], number: usize, log: u32, size: i32) -> [i32; 3] {
 }
 
 fn is_on(mask: &[u8], number: usize) -> bool {
-    mask.get(number / 8).is_some_and(|byte| byte >> (number % 8) & 1 == 1)
+    mask.get(number / 8)
+        .is_some_and(|byte| byte >> (number % 8) & 1 == 1)
 }
 
 fn count_on(mask: &[u8]) -> usize {
@@ -346,7 +347,11 @@ fn read_values(
     }
     let is_masked = packing.compression & COMPRESS_ACTIVE_MASK != 0 && how != ALL_VALUES;
     let stored = if is_masked { count_on(active) } else { count };
-    let width = if packing.is_half { 2 } else { packing.values.bytes() };
+    let width = if packing.is_half {
+        2
+    } else {
+        packing.values.bytes()
+    };
     // Halves of nothing are not even announced.
     let bytes = if packing.is_half && stored == 0 {
         Vec::new()
