@@ -168,8 +168,8 @@ impl Volume {
     /// Makes a volume of voxels as a file stores them, x fastest.
     ///
     /// # Errors
-    /// If a dimension is 0, the number of voxels is not the product of `dims`, or `slope` or
-    /// `intercept` is not finite.
+    /// If a dimension is 0, the number of voxels is not the product of `dims`, or `slope`,
+    /// `intercept` or the range of the values is not finite.
     pub fn new(
         mut voxels: Voxels,
         dims: [u32; 3],
@@ -190,6 +190,11 @@ impl Volume {
             return Err(VolumeError::Scaling { slope, intercept });
         }
         let (stored_range, replaced) = make_finite(&mut voxels, slope < 0.0);
+        // Factors near the largest number there is take values beyond it.
+        let [a, b] = stored_range.map(|stored| slope * stored + intercept);
+        if !(b - a).is_finite() {
+            return Err(VolumeError::Scaling { slope, intercept });
+        }
         Ok(Self {
             voxels: Arc::new(voxels),
             dims,

@@ -158,7 +158,9 @@ pub enum VolumeError {
         voxels: usize,
     },
     /// Slope or intercept is not finite.
-    #[error("values are scaled by slope {slope} and intercept {intercept}, which must be finite")]
+    #[error(
+        "values are scaled by slope {slope} and intercept {intercept}, which must be finite and keep them finite"
+    )]
     Scaling {
         /// Slope.
         slope: f64,
@@ -186,6 +188,20 @@ impl VolumeError {
         Self::Io {
             path: path.into(),
             source,
+        }
+    }
+
+    /// The same with the file's name, where it has none.
+    pub(super) fn within(self, path: &Path, format: &'static str) -> Self {
+        match self {
+            Self::Scaling { slope, intercept } => Self::Field {
+                path: path.into(),
+                format,
+                field: "slope and intercept".into(),
+                found: format!("{slope:e} and {intercept:e}"),
+                expected: "finite numbers that keep the values finite; correct the header".into(),
+            },
+            other => other,
         }
     }
 

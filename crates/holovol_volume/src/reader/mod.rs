@@ -121,7 +121,8 @@ pub fn open_with(
     progress: &mut dyn FnMut(Progress),
 ) -> Result<Volume, VolumeError> {
     if path.is_dir() {
-        return dicom::read_folder(path, options, progress);
+        return dicom::read_folder(path, options, progress)
+            .map_err(|error| error.within(path, "DICOM"));
     }
     let input = Input::open(path)?;
     let sidecar = match options.raw {
@@ -147,7 +148,10 @@ pub fn read(
         return raw::read(input, layout, options, progress);
     }
     let (reader, input) = find_reader(input)?;
-    reader.read(input, options, progress)
+    let path = input.path().to_path_buf();
+    reader
+        .read(input, options, progress)
+        .map_err(|error| error.within(&path, reader.name()))
 }
 
 /// The volumes in a file or folder that [`ReadOptions::choice`] can choose from; empty where there
