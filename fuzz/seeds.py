@@ -15,7 +15,7 @@ import numpy as np
 here = pathlib.Path(__file__).parent
 shared = pathlib.Path(sys.argv[1])
 volumes = shared / "data/volumes"
-for target in ("nifti", "nrrd", "scene"):
+for target in ("nifti", "nrrd", "metaimage", "dicom", "openvdb", "tiff", "archive", "scene"):
     (here / "seeds" / target).mkdir(parents=True, exist_ok=True)
 
 SIDE = 6
@@ -48,7 +48,7 @@ for name, field, space in (("tooth", tooth, False), ("stent", stent, True)):
         nrrd.write(str(here / "seeds/nrrd" / f"{name}_{encoding}.nrrd"), part, header)
 
 phantoms = here.parent / "crates/holovol_volume/tests/phantoms"
-for path in phantoms.iterdir():
+for path in (path for path in phantoms.iterdir() if path.is_file()):
     target = "nifti" if ".nii" in path.name else "nrrd"
     if path.suffix != ".raw":
         shutil.copy(path, here / "seeds" / target / f"phantom_{path.name}")
@@ -56,3 +56,35 @@ for path in phantoms.iterdir():
 for path in (shared / "reference").glob("*.json"):
     if not path.name.endswith(".ref.json"):
         shutil.copy(path, here / "seeds/scene" / path.name)
+
+# Phantoms of tests/expected/formats.py: one slice of each syntax, all codecs, all packings.
+formats = phantoms / "formats"
+seeds = here / "seeds"
+for path in formats.iterdir():
+    target = {
+        ".mha": "metaimage",
+        ".vdb": "openvdb",
+        ".tif": "tiff",
+        ".zip": "archive",
+        ".dcm": "dicom",
+        ".nrrd": "nrrd",
+    }.get(path.suffix)
+    if target:
+        shutil.copy(path, seeds / target / f"phantom_{path.name}")
+for path in [*formats.glob("dicom_*/0.dcm"), *formats.glob("codecs/*.dcm")]:
+    if "plain" not in path.name:
+        shutil.copy(path, seeds / "dicom" / f"{path.parent.name}_{path.name}")
+
+# The bytes of scans: a corner of a thorax slice (CC BY 3.0, LIDC-IDRI) and of the mouse brain (BSD).
+import pydicom  # noqa: E402
+
+slice_ = pydicom.dcmread(volumes / "lidc-idri-0314_ct_thorax_dicom/000145.dcm")
+pixels = slice_.pixel_array[250:262, 250:262].copy()
+slice_.Rows, slice_.Columns = pixels.shape
+slice_.PixelData = pixels.tobytes()
+slice_.save_as(seeds / "dicom/thorax.dcm")
+text = (volumes / "mouse_brain_microscopy.mhd").read_text()
+text = text.replace("271 193 270", "6 6 6").replace("mouse_brain_microscopy.raw", "LOCAL")
+with open(volumes / "mouse_brain_microscopy.raw", "rb") as file:
+    file.seek(2 * (130 + 271 * (90 + 193 * 130)))
+    (seeds / "metaimage/mouse.mha").write_bytes(text.encode() + file.read(6 * 6 * 6 * 2))

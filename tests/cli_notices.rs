@@ -4,7 +4,7 @@ mod support;
 
 use holovol_reference::Image;
 use serde_json::{Value, json};
-use support::{Bench, nrrd, scene};
+use support::{Bench, exists, nrrd, scene};
 
 const RENDER: [&str; 8] = [
     "render",
@@ -170,7 +170,7 @@ fn taken_names_of_later_images_are_found_before_the_first() {
     std::fs::create_dir(bench.path("out.right.exr")).unwrap();
     let stderr = refusal(&bench, &pair.to_string(), 4);
     assert!(stderr.contains("out.right.exr is a folder"), "{stderr}");
-    assert!(!bench.path("out.left.exr").exists());
+    assert!(!exists(&bench.path("out.left.exr")));
     std::fs::remove_dir(bench.path("out.right.exr")).unwrap();
     let line = bench.json(&RENDER);
     assert_eq!(line["files"], json!(["out.left.exr", "out.right.exr"]));

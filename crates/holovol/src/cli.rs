@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
+use holovol_volume::{Endian, NumberType, RawLayout, ReadOptions};
 
 const EXIT_CODES: &str = "\
 Exit codes:
@@ -23,6 +24,8 @@ Examples:
       renders a phantom that needs no file, to see that all works
   holovol info scan.nii.gz --thumbnail scan.png
       shows what is in a scan
+  holovol convert dicom_folder scan.nrrd
+      writes a scan in another format, exactly
   holovol render scene.json --out image.exr --png image.png --spp 256
       renders a scene to linear radiance and to a picture
   holovol compare image.exr reference.exr
@@ -48,6 +51,8 @@ pub enum Command {
     Compare(CompareArgs),
     /// Tell what is in a volume or a scene file
     Info(InfoArgs),
+    /// Write a volume in another format, exactly
+    Convert(ConvertArgs),
     /// Render a phantom that holovol makes itself: no file, GPU or display needed
     Demo(DemoArgs),
     /// Measure speed and error on this machine
@@ -191,10 +196,16 @@ pub struct CompareArgs {
 Examples:
   holovol info scan.nii.gz
   holovol info scan.nrrd --json
+  holovol info dicom_folder
+  holovol info dicom_folder --choice 2
+  holovol info field.raw --raw-dims 256,256,120 --raw-type u16 --raw-spacing 0.7,0.7,1.5
   holovol info scene.json --thumbnail scene.png")]
 pub struct InfoArgs {
-    /// A volume, or a scene file
+    /// A volume, a folder or ZIP archive of DICOM files, or a scene file
     pub file: PathBuf,
+    /// How to read it.
+    #[command(flatten)]
+    pub input: InputArgs,
     /// Print one line of JSON instead of text
     #[arg(long)]
     pub json: bool,
@@ -202,6 +213,93 @@ pub struct InfoArgs {
     /// from the side (+x) and from above (+y)
     #[arg(long, value_name = "OUT.png")]
     pub thumbnail: Option<PathBuf>,
+}
+
+/// `holovol convert`
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+The name of OUT says the format: .nrrd, .nii, .nii.gz or .raw (with a sidecar .raw.json). Voxels,
+scaling, spacing and orientation come out exactly, or the command refuses. Names and identifiers of
+patients are never read, so that none can get into OUT.
+
+Examples:
+  holovol convert dicom_folder scan.nrrd
+  holovol convert dicom.zip scan.nii.gz --choice 2
+  holovol convert smoke.vdb smoke.raw --choice density")]
+pub struct ConvertArgs {
+    /// A volume, or a folder or ZIP archive of DICOM files
+    #[arg(value_name = "IN")]
+    pub file: PathBuf,
+    /// The file to write: .nrrd, .nii, .nii.gz or .raw
+    #[arg(value_name = "OUT")]
+    pub out: PathBuf,
+    /// How to read it.
+    #[command(flatten)]
+    pub input: InputArgs,
+    /// Write what was rounded, interpolated or replaced when it was read, and leave out what OUT
+    /// can't hold
+    #[arg(long)]
+    pub lossy: bool,
+}
+
+/// How to read a volume.
+#[derive(Clone, Debug, Default, Args)]
+pub struct InputArgs {
+    /// Which of several series, grids, channels or volumes: a number from 1, or a name
+    #[arg(long, value_name = "N|NAME")]
+    pub choice: Option<String>,
+    /// Interpolate the slices that a DICOM series lacks
+    #[arg(long)]
+    pub fill_missing_slices: bool,
+    /// Voxels along x, y, z of a file without a header
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_delimiter = ',',
+        num_args = 3,
+        requires = "raw_type"
+    )]
+    pub raw_dims: Option<Vec<u32>>,
+    /// Type of its numbers: u8, i8, u16, i16, u32, i32, u64, i64, f32 or f64
+    #[arg(long, value_name = "TYPE", requires = "raw_dims")]
+    pub raw_type: Option<NumberType>,
+    /// Its spacing along x, y, z in mm; 1 if left out
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_delimiter = ',',
+        num_args = 3,
+        requires = "raw_dims"
+    )]
+    pub raw_spacing: Option<Vec<f64>>,
+    /// Bytes before its first voxel
+    #[arg(long, value_name = "BYTES", default_value_t = 0, requires = "raw_dims")]
+    pub raw_offset: u64,
+    /// Its numbers begin with their highest byte
+    #[arg(long, requires = "raw_dims")]
+    pub raw_big_endian: bool,
+}
+
+impl InputArgs {
+    /// The same for the reader.
+    pub fn options(&self) -> ReadOptions {
+        let mut options = ReadOptions::default().with_fill_missing_slices(self.fill_missing_slices);
+        if let Some(choice) = &self.choice {
+            options = options.with_choice(choice);
+        }
+        if let (Some(&[x, y, z]), Some(number)) = (self.raw_dims.as_deref(), self.raw_type) {
+            let mut layout = RawLayout::new([x, y, z], number);
+            layout.offset = self.raw_offset;
+            if let Some(&[x, y, z]) = self.raw_spacing.as_deref() {
+                layout.spacing_mm = Some([x, y, z]);
+            }
+            if self.raw_big_endian {
+                layout.endian = Endian::Big;
+            }
+            options = options.with_raw(layout);
+        }
+        options
+    }
 }
 
 /// `holovol demo`

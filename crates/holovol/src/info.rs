@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use glam::DMat4;
 use holovol_scene::{SceneFile, Sequence};
-use holovol_volume::Volume;
+use holovol_volume::{Content, Volume, VolumeError};
 use serde::Serialize;
 
 use crate::cli::InfoArgs;
@@ -37,10 +37,25 @@ struct VolumeInfo {
     /// [percent, value] pairs.
     percentiles: Vec<[f64; 2]>,
     header_window: Option<[f64; 2]>,
+    header_windows: Vec<WindowInfo>,
+    /// Whether the values are names of something; null if the file doesn't say.
+    labels: Option<Vec<LabelInfo>>,
     auto_window: [f64; 2],
     nan_voxels: u64,
     infinite_voxels: u64,
     notices: Vec<String>,
+}
+
+#[derive(Serialize)]
+struct WindowInfo {
+    name: String,
+    window: [f64; 2],
+}
+
+#[derive(Serialize)]
+struct LabelInfo {
+    value: f64,
+    name: String,
 }
 
 #[derive(Serialize)]
@@ -76,10 +91,7 @@ pub(crate) fn run(args: &InfoArgs) -> Result<(), Failure> {
     }
     let bar = Bar::new("loading");
     let mut progress = |progress: holovol_volume::Progress| {
-        bar.set(
-            progress.bytes as f64 / progress.total_bytes.max(1) as f64,
-            "",
-        );
+        bar.set(progress.fraction(), "");
     };
     if is_scene(&args.file)? {
         let sequence = Sequence::load(&args.file, &mut progress)?;
@@ -98,7 +110,20 @@ pub(crate) fn run(args: &InfoArgs) -> Result<(), Failure> {
             scene.window,
         );
     }
-    let volume = holovol_volume::open(&args.file, &mut progress)?;
+    let options = args.input.options();
+    let volume = match holovol_volume::open_with(&args.file, &options, &mut progress) {
+        Ok(volume) => volume,
+        // What is there to choose from is what was asked for.
+        Err(VolumeError::Choose {
+            path,
+            what,
+            contents,
+        }) => {
+            drop(bar);
+            return list(args, &path, what, &contents);
+        }
+        Err(error) => return Err(error.into()),
+    };
     drop(bar);
     let info = VolumeInfo::new(&args.file, &volume, volume.world_from_unit_cube());
     if args.json {
@@ -108,6 +133,54 @@ pub(crate) fn run(args: &InfoArgs) -> Result<(), Failure> {
     }
     let window = volume.header_window().unwrap_or(info.auto_window);
     draw(args, &volume, volume.world_from_unit_cube(), window)
+}
+
+#[derive(Serialize)]
+struct ContentInfo<'a> {
+    number: usize,
+    name: &'a str,
+    description: &'a str,
+    dims: Option<[u64; 3]>,
+    /// Metres.
+    spacing: Option<[f64; 3]>,
+}
+
+/// Tells what can be chosen from.
+fn list(args: &InfoArgs, path: &Path, what: &str, contents: &[Content]) -> Result<(), Failure> {
+    let infos: Vec<ContentInfo<'_>> = contents
+        .iter()
+        .enumerate()
+        .map(|(index, content)| ContentInfo {
+            number: index + 1,
+            name: &content.name,
+            description: &content.description,
+            dims: content.dims,
+            spacing: content.spacing,
+        })
+        .collect();
+    if args.json {
+        return print_json(&serde_json::json!({ "path": path, "contents": infos }));
+    }
+    let mut text = format!("{:<14}{}\n", "file", path.display());
+    for info in &infos {
+        let mut parts = vec![info.description.to_owned()];
+        if !info.name.is_empty() {
+            parts.insert(0, info.name.to_owned());
+        }
+        if let Some([x, y, z]) = info.dims {
+            parts.push(format!("{x} × {y} × {z}"));
+        }
+        parts.extend(info.spacing.map(lengths));
+        // Writing to a string can't fail.
+        let _ = writeln!(text, "{:<14}{}", info.number, parts.join(", "));
+    }
+    let _ = writeln!(
+        text,
+        "{:<14}{} {what}: name one with --choice N",
+        "note",
+        infos.len()
+    );
+    print_bytes(text.as_bytes())
 }
 
 fn draw(
@@ -165,6 +238,20 @@ impl VolumeInfo {
                 .map(|(p, v)| [p, v])
                 .collect(),
             header_window: volume.header_window(),
+            header_windows: (volume.header_windows().iter())
+                .map(|window| WindowInfo {
+                    name: window.name.clone(),
+                    window: window.window,
+                })
+                .collect(),
+            labels: volume.labels().map(|labels| {
+                (labels.iter())
+                    .map(|label| LabelInfo {
+                        value: label.value,
+                        name: label.name.clone(),
+                    })
+                    .collect()
+            }),
             auto_window: volume.auto_window(),
             nan_voxels: volume.replaced().nan,
             infinite_voxels: volume.replaced().infinite,
@@ -223,8 +310,17 @@ impl VolumeInfo {
             .map(|[p, v]| format!("{p} %: {}", number(*v)));
         line("percentiles", percentiles.collect::<Vec<_>>().join("   "));
         let window = |[lo, hi]: [f64; 2]| format!("{} … {}", number(lo), number(hi));
-        if let Some(header) = self.header_window {
-            line("header window", window(header));
+        for header in &self.header_windows {
+            line(
+                "header window",
+                format!("{} {}", window(header.window), header.name),
+            );
+        }
+        if let Some(labels) = &self.labels {
+            let names = labels
+                .iter()
+                .map(|l| format!("{} {}", number(l.value), l.name));
+            line("labels", names.collect::<Vec<_>>().join(", "));
         }
         line("auto window", window(self.auto_window));
         if self.nan_voxels + self.infinite_voxels > 0 {

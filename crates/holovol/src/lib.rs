@@ -9,6 +9,7 @@ mod backend;
 mod bench;
 pub mod cli;
 mod compare;
+mod convert;
 mod demo;
 mod failure;
 mod info;
@@ -49,6 +50,7 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
         Command::Render(args) => render::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Info(args) => info::run(&args),
+        Command::Convert(args) => convert::run(&args),
         Command::Demo(args) => demo::run(&args),
         Command::Bench(command) => bench::run(&command),
         Command::Completions { shell } => {

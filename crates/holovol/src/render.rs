@@ -196,10 +196,7 @@ fn load(args: &RenderArgs) -> Result<Sequence, Failure> {
     let base = args.scene.parent().unwrap_or(Path::new(""));
     let bar = Bar::new("loading");
     let sequence = Sequence::new(&file, base, &mut |progress| {
-        bar.set(
-            progress.bytes as f64 / progress.total_bytes.max(1) as f64,
-            "",
-        );
+        bar.set(progress.fraction(), "");
     })
     .map_err(|error| error.in_file(&args.scene))?;
     let Some(frames) = args.frames else {

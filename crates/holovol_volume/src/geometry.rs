@@ -47,6 +47,20 @@ impl Geometry {
         std::array::from_fn(|axis| self.metres_from_index.col(axis).length())
     }
 
+    /// Whether i, j, k point along the frame's own axes, forwards.
+    pub fn is_diagonal(&self) -> bool {
+        (0..3).all(|axis| {
+            let step = self.metres_from_index.col(axis);
+            (0..3).all(|other| {
+                if other == axis {
+                    step[other] > 0.0
+                } else {
+                    step[other] == 0.0
+                }
+            })
+        })
+    }
+
     /// World metres from unit-cube coordinates, the cube's centre at the origin.
     pub fn world_from_unit_cube(&self, dims: [u32; 3]) -> DMat4 {
         let frame = if self.oriented {

@@ -17,14 +17,17 @@ mod statistics;
 mod transfer_function;
 mod transfer_function_file;
 mod volume;
+mod writer;
 
 pub use cells::{CELL_SIZE, CellRanges};
 pub use geometry::Geometry;
 pub use reader::{
-    Input, NiftiReader, NrrdReader, Progress, ReadOptions, VolumeError, VolumeReader, open,
-    open_with, read, readers,
+    CancelFlag, Content, DicomReader, Endian, Input, MetaImageReader, NiftiReader, NrrdReader,
+    NumberType, Progress, RawLayout, ReadOptions, TiffReader, VdbReader, VolumeError, VolumeReader,
+    ZipReader, contents, open, open_with, read, readers,
 };
 pub use statistics::Histogram;
 pub use transfer_function::{Material, TransferFunction, TransferFunctionError, TransferPoint};
 pub use transfer_function_file::{TransferFunctionFile, TransferFunctionFileError};
-pub use volume::{ReplacedVoxels, SourceFormat, Volume, VoxelKind, Voxels};
+pub use volume::{HeaderWindow, Label, ReplacedVoxels, SourceFormat, Volume, VoxelKind, Voxels};
+pub use writer::{OutputFormat, WriteError, write};

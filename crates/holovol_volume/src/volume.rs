@@ -1,6 +1,7 @@
 use std::sync::Arc;
 
 use glam::{DMat4, DVec3};
+use rayon::prelude::*;
 
 use crate::{Geometry, VolumeError};
 
@@ -116,9 +117,32 @@ pub struct Volume {
     geometry: Geometry,
     stored_range: [f64; 2],
     replaced: ReplacedVoxels,
-    header_window: Option<[f64; 2]>,
+    header_windows: Vec<HeaderWindow>,
     source_format: Option<SourceFormat>,
+    rounded: bool,
+    labels: Option<Arc<Vec<Label>>>,
     notices: Vec<String>,
+}
+
+/// What one value of a label volume stands for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Label {
+    /// The value.
+    pub value: f64,
+    /// What it is called; may be empty.
+    pub name: String,
+    /// The colour that the file gives it, sRGB, 0 to 1.
+    pub color: Option<[f32; 3]>,
+}
+
+/// A display window that a file's header asks for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HeaderWindow {
+    /// The values that become black and white, in data units; the higher one first where the
+    /// header wants low values bright.
+    pub window: [f64; 2],
+    /// What the header calls it (`LUNG`); may be empty.
+    pub name: String,
 }
 
 /// What a volume's file was.
@@ -144,8 +168,8 @@ impl Volume {
     /// Makes a volume of voxels as a file stores them, x fastest.
     ///
     /// # Errors
-    /// If a dimension is 0, the number of voxels is not the product of `dims`, or `slope` or
-    /// `intercept` is not finite.
+    /// If a dimension is 0, the number of voxels is not the product of `dims`, or `slope`,
+    /// `intercept` or the range of the values is not finite.
     pub fn new(
         mut voxels: Voxels,
         dims: [u32; 3],
@@ -166,6 +190,11 @@ impl Volume {
             return Err(VolumeError::Scaling { slope, intercept });
         }
         let (stored_range, replaced) = make_finite(&mut voxels, slope < 0.0);
+        // Factors near the largest number there is take values beyond it.
+        let [a, b] = stored_range.map(|stored| slope * stored + intercept);
+        if !(b - a).is_finite() {
+            return Err(VolumeError::Scaling { slope, intercept });
+        }
         Ok(Self {
             voxels: Arc::new(voxels),
             dims,
@@ -174,15 +203,41 @@ impl Volume {
             geometry,
             stored_range,
             replaced,
-            header_window: None,
+            header_windows: Vec::new(),
             source_format: None,
+            rounded: false,
+            labels: None,
             notices: Vec::new(),
         })
     }
 
     /// The same volume with the display window (lo, hi) that its header asks for, in data units.
     pub fn with_header_window(mut self, window: [f64; 2]) -> Self {
-        self.header_window = Some(window);
+        self.header_windows.insert(
+            0,
+            HeaderWindow {
+                window,
+                name: String::new(),
+            },
+        );
+        self
+    }
+
+    /// The same volume with all display windows of its header, the preferred one first.
+    pub fn with_header_windows(mut self, windows: Vec<HeaderWindow>) -> Self {
+        self.header_windows = windows;
+        self
+    }
+
+    /// The same volume with word of whether its voxels are rounded, see [`Volume::is_rounded`].
+    pub fn with_rounded(mut self, rounded: bool) -> Self {
+        self.rounded = rounded;
+        self
+    }
+
+    /// The same volume as one of labels: its values are names, not amounts.
+    pub fn with_labels(mut self, labels: Vec<Label>) -> Self {
+        self.labels = Some(Arc::new(labels));
         self
     }
 
@@ -254,7 +309,23 @@ impl Volume {
 
     /// The display window that the file's header asks for, in data units.
     pub fn header_window(&self) -> Option<[f64; 2]> {
-        self.header_window
+        self.header_windows.first().map(|first| first.window)
+    }
+
+    /// All display windows that the file's header asks for, the preferred one first.
+    pub fn header_windows(&self) -> &[HeaderWindow] {
+        &self.header_windows
+    }
+
+    /// Whether the voxels are not exactly the file's: 64-bit numbers kept as f32, slices with
+    /// scalings of their own, or slices that were interpolated.
+    pub fn is_rounded(&self) -> bool {
+        self.rounded
+    }
+
+    /// What the values stand for, if the file says that they are labels; may be empty.
+    pub fn labels(&self) -> Option<&[Label]> {
+        self.labels.as_deref().map(Vec::as_slice)
     }
 
     /// The format and number type of the file, if the volume comes from one.
@@ -298,18 +369,27 @@ impl Volume {
     }
 }
 
+/// Enough to keep a core busy for much longer than it takes to hand it out.
+const RANGE_CHUNK: usize = 1 << 18;
+
 /// Replaces NaN and infinities; returns the range of the finite numbers and what was replaced.
 fn make_finite(voxels: &mut Voxels, minimum_is_largest: bool) -> ([f64; 2], ReplacedVoxels) {
-    fn range_of<T: Copy + PartialOrd + Into<f64>>(values: &[T]) -> [f64; 2] {
-        let (mut low, mut high) = (values[0], values[0]);
-        for &value in values {
-            if value < low {
-                low = value;
-            }
-            if value > high {
-                high = value;
-            }
-        }
+    fn range_of<T: Copy + PartialOrd + Into<f64> + Sync + Send>(values: &[T]) -> [f64; 2] {
+        let first = values[0];
+        let (low, high) = values
+            .par_chunks(RANGE_CHUNK)
+            .map(|chunk| {
+                let (mut low, mut high) = (first, first);
+                for &value in chunk {
+                    low = if value < low { value } else { low };
+                    high = if value > high { value } else { high };
+                }
+                (low, high)
+            })
+            .reduce(
+                || (first, first),
+                |(a, b), (c, d)| (if c < a { c } else { a }, if d > b { d } else { b }),
+            );
         [low.into(), high.into()]
     }
     let values = match voxels {
@@ -319,18 +399,33 @@ fn make_finite(voxels: &mut Voxels, minimum_is_largest: bool) -> ([f64; 2], Repl
         Voxels::I16(v) => return (range_of(v), ReplacedVoxels::default()),
         Voxels::F32(v) => v,
     };
-    let mut replaced = ReplacedVoxels::default();
-    let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
-    for &value in values.iter() {
-        if value.is_finite() {
-            low = low.min(value);
-            high = high.max(value);
-        } else if value.is_nan() {
-            replaced.nan += 1;
-        } else {
-            replaced.infinite += 1;
-        }
-    }
+    let (mut low, mut high, replaced) = values
+        .par_chunks(RANGE_CHUNK)
+        .map(|chunk| {
+            let mut replaced = ReplacedVoxels::default();
+            let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
+            for &value in chunk {
+                if value.is_finite() {
+                    low = low.min(value);
+                    high = high.max(value);
+                } else if value.is_nan() {
+                    replaced.nan += 1;
+                } else {
+                    replaced.infinite += 1;
+                }
+            }
+            (low, high, replaced)
+        })
+        .reduce(
+            || (f32::INFINITY, f32::NEG_INFINITY, ReplacedVoxels::default()),
+            |(a, b, r), (c, d, s)| {
+                let replaced = ReplacedVoxels {
+                    nan: r.nan + s.nan,
+                    infinite: r.infinite + s.infinite,
+                };
+                (a.min(c), b.max(d), replaced)
+            },
+        );
     if low > high {
         (low, high) = (0.0, 0.0);
     }

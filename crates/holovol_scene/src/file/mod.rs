@@ -59,6 +59,9 @@ pub struct SceneFile {
 pub struct VolumeEntry {
     /// The volume's file, or the folder of a series.
     pub path: PathBuf,
+    /// Which of several series, grids, channels or volumes: a number from 1, or a name.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub choice: Option<String>,
     /// Values at which s is 0 and 1, data units, not equal; the whole range if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub window: Option<[f64; 2]>,

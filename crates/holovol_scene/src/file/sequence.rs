@@ -2,7 +2,7 @@ use std::path::Path;
 
 use glam::{DMat4, DVec3};
 use holovol_light::EnvironmentMap;
-use holovol_volume::{Progress, TransferFunction, Volume};
+use holovol_volume::{Progress, ReadOptions, TransferFunction, Volume};
 
 use super::validate::check_frames;
 use super::{EnvironmentEntry, SceneError, SceneFile};
@@ -57,13 +57,17 @@ impl Sequence {
             .and_then(|switch| switch.transfer_function.as_ref())
             .map(|entry| entry.resolve("animation.switch.transfer_function"))
             .transpose()?;
-        let volume =
-            holovol_volume::open(&base.join(&file.volume.path), progress).map_err(|source| {
-                SceneError::Volume {
-                    field: "volume.path".into(),
-                    source: Box::new(source),
-                }
-            })?;
+        let mut options = ReadOptions::default();
+        if let Some(choice) = &file.volume.choice {
+            options = options.with_choice(choice);
+        }
+        let path = base.join(&file.volume.path);
+        let volume = holovol_volume::open_with(&path, &options, progress).map_err(|source| {
+            SceneError::Volume {
+                field: "volume.path".into(),
+                source: Box::new(source),
+            }
+        })?;
         Self::from_parts(
             file,
             volume,

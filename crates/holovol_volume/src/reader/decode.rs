@@ -4,11 +4,15 @@ use std::io::Read;
 use bytemuck::{Pod, Zeroable};
 
 use super::numbers::{NumberType, WideNumber, smallest_kind};
-use super::{Input, Progress, ReadOptions};
+use super::source::Source;
+use super::{CancelFlag, Input, Progress, ReadOptions, parallel};
 use crate::{VolumeError, VoxelKind, Voxels};
 
 /// Voxels are read in pieces of this many bytes: memory grows with what arrives.
 const CHUNK_BYTES: usize = 1 << 20;
+
+/// Below this the threads would cost more than they save.
+const PARALLEL_BYTES_MIN: u64 = 2 << 20;
 
 /// Progress is told after this many bytes.
 const PROGRESS_BYTES: u64 = 4 << 20;
@@ -41,6 +45,8 @@ impl Layout {
 pub(super) struct Decoded {
     pub voxels: Voxels,
     pub notices: Vec<String>,
+    /// Whether values had to be rounded.
+    pub rounded: bool,
 }
 
 /// Reads voxels into the smallest type that holds them exactly, f32 where none does.
@@ -80,6 +86,7 @@ pub(super) fn read_voxels(
         swap: layout.big_endian != cfg!(target_endian = "big"),
         input,
         progress,
+        cancel: &options.cancel,
     };
     let mut notices = Vec::new();
     let voxels = match layout.number {
@@ -94,7 +101,13 @@ pub(super) fn read_voxels(
         NumberType::F32 => reading.narrowed::<f32>(layout.number, &mut notices)?,
         NumberType::F64 => reading.narrowed::<f64>(layout.number, &mut notices)?,
     };
-    Ok(Decoded { voxels, notices })
+    input.check_unchanged()?;
+    Ok(Decoded {
+        voxels,
+        // The only thing that this function has to tell.
+        rounded: !notices.is_empty(),
+        notices,
+    })
 }
 
 /// Reads on after the last voxel, so that a gzip stream's check sum gets compared.
@@ -121,15 +134,21 @@ struct Reading<'a, 'b> {
     told_bytes: u64,
     reserve_all: bool,
     swap: bool,
+    cancel: &'a CancelFlag,
 }
 
-impl Reading<'_, '_> {
+impl<'b> Reading<'_, 'b> {
     /// Fills a piece of the voxels, in the machine's byte order after `swap_bytes`.
     fn fill<T: Pod>(
         &mut self,
         piece: &mut [T],
         swap_bytes: impl Fn(T) -> T,
     ) -> Result<(), VolumeError> {
+        if self.cancel.is_cancelled() {
+            return Err(VolumeError::Cancelled {
+                path: self.input.path().into(),
+            });
+        }
         let mut rest: &mut [u8] = bytemuck::cast_slice_mut(piece);
         while !rest.is_empty() {
             match self.input.read(rest) {
@@ -190,10 +209,72 @@ impl Reading<'_, '_> {
             })
     }
 
-    fn same_type<T: Pod + Zeroable>(
+    /// Reads what lies in a file as it is, by all cores: copying out of the system's cache and
+    /// touching new memory cost more than one core can do.
+    fn same_type_from<T: Pod + Send>(
         &mut self,
-        swap_bytes: impl Fn(T) -> T,
+        source: &Source<'b>,
+        at: u64,
+        swap_bytes: impl Fn(T) -> T + Sync,
     ) -> Result<Vec<T>, VolumeError> {
+        let mut numbers = bytemuck::allocation::try_zeroed_slice_box::<T>(self.total)
+            .map_err(|()| VolumeError::TooLarge {
+                path: self.input.path().into(),
+                bytes: self.total_bytes,
+                limit: "the memory that is free".into(),
+            })?
+            .into_vec();
+        let path = self.input.path().to_path_buf();
+        let piece = PROGRESS_BYTES as usize / size_of::<T>();
+        let (cancel, swap, total_bytes) = (self.cancel, self.swap, self.total_bytes);
+        let mut done_bytes = 0;
+        parallel::for_each(
+            numbers.chunks_mut(piece).enumerate(),
+            |(index, piece)| {
+                if cancel.is_cancelled() {
+                    return Err(VolumeError::Cancelled { path: path.clone() });
+                }
+                let bytes: &mut [u8] = bytemuck::cast_slice_mut(piece);
+                let offset = index as u64 * PROGRESS_BYTES;
+                let read = source
+                    .read_at(at + offset, bytes)
+                    .map_err(|error| VolumeError::io(&path, error))?;
+                if read < bytes.len() {
+                    return Err(VolumeError::Truncated {
+                        path: path.clone(),
+                        expected: total_bytes,
+                        available: offset + read as u64,
+                    });
+                }
+                if swap && size_of::<T>() > 1 {
+                    for number in piece.iter_mut() {
+                        *number = swap_bytes(*number);
+                    }
+                }
+                Ok(read as u64)
+            },
+            |read| {
+                done_bytes += read;
+                (self.progress)(Progress {
+                    bytes: done_bytes,
+                    total_bytes,
+                });
+                Ok(())
+            },
+        )?;
+        self.input.pass(source, at + total_bytes);
+        Ok(numbers)
+    }
+
+    fn same_type<T: Pod + Zeroable + Send>(
+        &mut self,
+        swap_bytes: impl Fn(T) -> T + Sync,
+    ) -> Result<Vec<T>, VolumeError> {
+        if let Some((source, at)) = self.input.direct()
+            && self.total_bytes >= PARALLEL_BYTES_MIN
+        {
+            return self.same_type_from(&source, at, swap_bytes);
+        }
         let mut numbers = Vec::new();
         while numbers.len() < self.total {
             let done = numbers.len();

@@ -1,5 +1,6 @@
 use std::path::{Path, PathBuf};
 
+use super::options::Content;
 use super::supported_formats;
 
 /// Why a volume could not be read or made.
@@ -54,7 +55,7 @@ pub enum VolumeError {
     },
     /// A header names a data file that can't be opened.
     #[error(
-        "{}: its data file {} can't be read ({source}); put it there, or correct `data file` in the header",
+        "{}: its data file {} can't be read ({source}); put it there, or correct its name in the header",
         header.display(), data.display()
     )]
     DataFile {
@@ -105,6 +106,49 @@ pub enum VolumeError {
         /// What they exceed.
         limit: String,
     },
+    /// Several volumes, and none was chosen.
+    #[error("{}: {} {what} are here; choose one by its number{}", path.display(), contents.len(), listed(contents))]
+    Choose {
+        /// The file or folder.
+        path: PathBuf,
+        /// What there are several of: `series`, `grids`.
+        what: &'static str,
+        /// What can be chosen.
+        contents: Vec<Content>,
+    },
+    /// Nothing goes by the number or name that was chosen.
+    #[error("{}: there is no `{choice}` here; choose one of these{}", path.display(), listed(contents))]
+    NoSuchChoice {
+        /// The file or folder.
+        path: PathBuf,
+        /// What was asked for.
+        choice: String,
+        /// What can be chosen.
+        contents: Vec<Content>,
+    },
+    /// A folder or an archive in which no reader finds a volume.
+    #[error("{}: none of the {files} files in this folder is a DICOM image that can be shown{reasons}; \
+             name a file of one of these formats: {}", path.display(), supported_formats())]
+    NothingFound {
+        /// The folder or archive.
+        path: PathBuf,
+        /// How many files were looked at.
+        files: usize,
+        /// Why images that were found can't be shown; empty if there were none.
+        reasons: String,
+    },
+    /// The file was written to while it was read.
+    #[error("{}: the file changed while it was read; wait until it is complete, then open it again", path.display())]
+    Changed {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Somebody set the [`CancelFlag`](crate::CancelFlag).
+    #[error("{}: reading was cancelled", path.display())]
+    Cancelled {
+        /// The file or folder.
+        path: PathBuf,
+    },
     /// The number of voxels does not fit the dimensions.
     #[error("dimensions {dims:?} do not go with {voxels} voxels")]
     Dimensions {
@@ -114,7 +158,9 @@ pub enum VolumeError {
         voxels: usize,
     },
     /// Slope or intercept is not finite.
-    #[error("values are scaled by slope {slope} and intercept {intercept}, which must be finite")]
+    #[error(
+        "values are scaled by slope {slope} and intercept {intercept}, which must be finite and keep them finite"
+    )]
     Scaling {
         /// Slope.
         slope: f64,
@@ -123,11 +169,39 @@ pub enum VolumeError {
     },
 }
 
+/// At most this many choices are listed in a message.
+const LISTED_MAX: usize = 40;
+
+fn listed(contents: &[Content]) -> String {
+    let lines = contents.iter().take(LISTED_MAX).enumerate();
+    let mut text: String = lines
+        .map(|(index, content)| format!("\n  {}", content.line(index + 1)))
+        .collect();
+    if contents.len() > LISTED_MAX {
+        text.push_str("\n  …");
+    }
+    text
+}
+
 impl VolumeError {
     pub(super) fn io(path: &Path, source: std::io::Error) -> Self {
         Self::Io {
             path: path.into(),
             source,
+        }
+    }
+
+    /// The same with the file's name, where it has none.
+    pub(super) fn within(self, path: &Path, format: &'static str) -> Self {
+        match self {
+            Self::Scaling { slope, intercept } => Self::Field {
+                path: path.into(),
+                format,
+                field: "slope and intercept".into(),
+                found: format!("{slope:e} and {intercept:e}"),
+                expected: "finite numbers that keep the values finite; correct the header".into(),
+            },
+            other => other,
         }
     }
 

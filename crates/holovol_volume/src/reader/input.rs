@@ -1,16 +1,23 @@
-use std::fs::File;
-use std::io::{self, BufRead, BufReader, Cursor, Read};
+use std::fs::{File, Metadata};
+use std::io::{self, BufRead, BufReader, Cursor, Read, Seek};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::SystemTime;
 
 use flate2::bufread::GzDecoder;
 
+use super::source::Source;
+use super::threaded::ReadAhead;
 use crate::VolumeError;
 
 /// Deflate can't expand a byte to more than this many (258 bytes for 2 bits).
-const DEFLATE_RATIO_MAX: u64 = 1032;
+pub(super) const DEFLATE_RATIO_MAX: u64 = 1032;
 
 /// Large enough for sequential reads from a disk, small beside any volume.
 const BUFFER_BYTES: usize = 256 << 10;
+
+/// Below this a thread would cost more than it saves.
+const READ_AHEAD_BYTES_MIN: u64 = 128 << 10;
 
 /// How much of a file's beginning [`Input::peek`] shows to readers.
 const PEEK_BYTES: usize = 1024;
@@ -26,6 +33,26 @@ pub struct Input<'a> {
     is_exact: bool,
     /// Whether other files, named in this one, may be opened.
     has_siblings: bool,
+    /// The whole content for random access, as long as nothing has been read or unpacked.
+    source: Option<Source<'a>>,
+    /// The file's state when it was opened.
+    stamp: Option<Stamp>,
+}
+
+/// What changes when a file is written to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Stamp {
+    length: u64,
+    modified: Option<SystemTime>,
+}
+
+impl Stamp {
+    fn of(metadata: &Metadata) -> Self {
+        Self {
+            length: metadata.len(),
+            modified: metadata.modified().ok(),
+        }
+    }
 }
 
 impl Input<'static> {
@@ -40,13 +67,15 @@ impl Input<'static> {
             return Err(VolumeError::Folder { path: path.into() });
         }
         let length = metadata.is_file().then_some(metadata.len());
-        let file = File::open(path).map_err(error)?;
+        let file = Arc::new(File::open(path).map_err(error)?);
         Ok(Self {
             path: path.into(),
-            stream: Box::new(BufReader::with_capacity(BUFFER_BYTES, file)),
+            stream: Box::new(BufReader::with_capacity(BUFFER_BYTES, file.clone())),
             at_most: length,
             is_exact: length.is_some(),
             has_siblings: true,
+            source: length.map(|length| Source::File(file, length)),
+            stamp: length.map(|_| Stamp::of(&metadata)),
         })
     }
 }
@@ -60,7 +89,87 @@ impl<'a> Input<'a> {
             at_most: Some(bytes.len() as u64),
             is_exact: true,
             has_siblings: false,
+            source: Some(Source::Borrowed(bytes)),
+            stamp: None,
         }
+    }
+
+    /// Like [`Input::from_bytes`], for bytes that nobody else keeps.
+    pub(super) fn from_owned(name: &Path, bytes: Vec<u8>) -> Self {
+        let bytes = Arc::new(bytes);
+        Self {
+            path: name.into(),
+            at_most: Some(bytes.len() as u64),
+            is_exact: true,
+            has_siblings: false,
+            stream: Box::new(Source::Owned(bytes.clone()).into_buffered(BUFFER_BYTES)),
+            source: Some(Source::Owned(bytes)),
+            stamp: None,
+        }
+    }
+
+    /// What a reader makes of a file, `at_most` bytes.
+    pub(super) fn from_reader(name: &Path, reader: impl Read + 'a, at_most: u64) -> Self {
+        Self {
+            path: name.into(),
+            stream: Box::new(BufReader::with_capacity(BUFFER_BYTES, reader)),
+            at_most: Some(at_most),
+            is_exact: false,
+            has_siblings: false,
+            source: None,
+            stamp: None,
+        }
+    }
+
+    /// The whole content, to be read from any place; what is packed or piped is unpacked first,
+    /// into no more than `max_bytes`.
+    pub(super) fn into_source(mut self, max_bytes: u64) -> Result<Source<'a>, VolumeError> {
+        if let Some(source) = self.source.take() {
+            return Ok(source);
+        }
+        let mut bytes = Vec::new();
+        self.stream
+            .by_ref()
+            .take(max_bytes.saturating_add(1))
+            .read_to_end(&mut bytes)
+            .map_err(|source| VolumeError::decoding(&self.path, source))?;
+        if bytes.len() as u64 > max_bytes {
+            return Err(VolumeError::TooLarge {
+                path: self.path,
+                bytes: bytes.len() as u64,
+                limit: format!("the {max_bytes} that may be unpacked"),
+            });
+        }
+        Ok(Source::Owned(Arc::new(bytes)))
+    }
+
+    /// The content from the current place on for random access, where that needs no copy.
+    pub(super) fn direct(&self) -> Option<(Source<'a>, u64)> {
+        let source = self.source.clone()?;
+        let at = source.length().checked_sub(self.exact_length()?)?;
+        Some((source, at))
+    }
+
+    /// Goes on at an offset of its source, up to which all has been read directly.
+    pub(super) fn pass(&mut self, source: &Source<'a>, at: u64) {
+        self.at_most = Some(source.length().saturating_sub(at));
+        self.stream = Box::new(BufReader::with_capacity(BUFFER_BYTES, source.cursor(at)));
+    }
+
+    /// Whether the file is still as it was when it was opened.
+    ///
+    /// # Errors
+    /// If it isn't.
+    pub(super) fn check_unchanged(&self) -> Result<(), VolumeError> {
+        let changed = self.stamp.as_ref().is_some_and(|stamp| {
+            std::fs::metadata(&self.path).map_or(true, |now| Stamp::of(&now) != *stamp)
+        });
+        if changed {
+            return Err(VolumeError::Changed {
+                path: self.path.clone(),
+            });
+        }
+        Ok(())
     }
 
     /// What messages call these bytes.
@@ -96,15 +205,39 @@ impl<'a> Input<'a> {
 
     /// The unpacked content from here on, whether or not it begins like a gzip stream.
     pub fn gunzip(self) -> Self {
-        let decoder = GzipMembers(Some(GzDecoder::new(self.stream)));
+        let stream = match self.read_ahead() {
+            Some(ahead) => {
+                Box::new(BufReader::with_capacity(BUFFER_BYTES, ahead)) as Box<dyn BufRead>
+            }
+            None => {
+                let decoder = GzipMembers(Some(GzDecoder::new(self.stream)));
+                Box::new(BufReader::with_capacity(BUFFER_BYTES, decoder))
+            }
+        };
         Self {
-            stream: Box::new(BufReader::with_capacity(BUFFER_BYTES, decoder)),
+            stream,
             at_most: self
                 .at_most
                 .map(|packed| packed.saturating_mul(DEFLATE_RATIO_MAX)),
             is_exact: false,
+            source: None,
             ..self
         }
+    }
+
+    /// Large files are unpacked on a thread of their own.
+    fn read_ahead(&self) -> Option<ReadAhead> {
+        let (source, at) = self.direct()?;
+        let Source::File(file, length) = source else {
+            return None;
+        };
+        if length < READ_AHEAD_BYTES_MIN {
+            return None;
+        }
+        let packed = Source::File(file, length).cursor(at);
+        let packed = BufReader::with_capacity(BUFFER_BYTES, packed);
+        // Without a thread it goes, too.
+        ReadAhead::new(GzipMembers(Some(GzDecoder::new(packed)))).ok()
     }
 
     /// The same, unpacked if it is a gzip stream.
@@ -137,6 +270,54 @@ impl<'a> Input<'a> {
         Input::open(&data)
     }
 
+    /// The contents of several files that this one names, one after the other: of each `bytes`
+    /// after the first `skip`.
+    ///
+    /// # Errors
+    /// If one is missing or not a regular file, or if this input is not a file.
+    pub(super) fn open_siblings(
+        &self,
+        names: Vec<String>,
+        skip: u64,
+        bytes: u64,
+    ) -> Result<Input<'static>, VolumeError> {
+        let mut available = 0u64;
+        for name in &names {
+            let file = self.open_sibling(name)?;
+            let length = file.exact_length().unwrap_or(0).saturating_sub(skip);
+            available = available.saturating_add(length.min(bytes));
+        }
+        let folder = self.path.parent().unwrap_or(Path::new("")).to_path_buf();
+        let files = names
+            .into_iter()
+            .map(move |name| -> io::Result<io::Take<File>> {
+                let mut file = File::open(folder.join(name))?;
+                file.seek(io::SeekFrom::Start(skip))?;
+                Ok(file.take(bytes))
+            });
+        let files = OneByOne {
+            files,
+            current: None,
+        };
+        Ok(Input {
+            path: self.path.clone(),
+            stream: Box::new(BufReader::with_capacity(BUFFER_BYTES, files)),
+            at_most: Some(available),
+            is_exact: false,
+            has_siblings: false,
+            source: None,
+            stamp: None,
+        })
+    }
+
+    /// Entry number `entry` of every `count` blocks of `block` bytes.
+    pub(super) fn entry_along_axis(self, block: u64, count: u64, entry: u64) -> Self {
+        let at_most = self.at_most;
+        self.filtered(at_most, |bytes| {
+            EntryAlongAxis::new(bytes, block, count, entry)
+        })
+    }
+
     /// Leaves out the next bytes; fewer if the input ends before.
     ///
     /// # Errors
@@ -157,6 +338,7 @@ impl<'a> Input<'a> {
             stream: Box::new(BufReader::with_capacity(BUFFER_BYTES, filter(self.stream))),
             at_most,
             is_exact: false,
+            source: None,
             ..self
         }
     }
@@ -185,6 +367,33 @@ impl BufRead for Input<'_> {
     }
 }
 
+/// Files that are opened one after the other.
+struct OneByOne<I> {
+    files: I,
+    current: Option<io::Take<File>>,
+}
+
+impl<I: Iterator<Item = io::Result<io::Take<File>>>> Read for OneByOne<I> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        loop {
+            if let Some(file) = &mut self.current {
+                let bytes = file.read(buffer)?;
+                if bytes > 0 || buffer.is_empty() {
+                    return Ok(bytes);
+                }
+                if file.limit() > 0 {
+                    // A short file would shift all that follow.
+                    return Err(io::ErrorKind::UnexpectedEof.into());
+                }
+            }
+            match self.files.next() {
+                Some(file) => self.current = Some(file?),
+                None => return Ok(0),
+            }
+        }
+    }
+}
+
 /// Unpacks gzip members up to the end or to something else, which gzip too passes over.
 struct GzipMembers<R>(Option<GzDecoder<R>>);
 
@@ -204,5 +413,48 @@ impl<R: BufRead> Read for GzipMembers<R> {
             self.0 = rest.map(GzDecoder::new);
         }
         Ok(0)
+    }
+}
+
+/// One entry along an axis: of every `count` blocks of bytes one.
+struct EntryAlongAxis<R> {
+    bytes: R,
+    kept: u64,
+    skipped: u64,
+    left: u64,
+    to_skip: u64,
+}
+
+impl<R: Read> EntryAlongAxis<R> {
+    fn new(bytes: R, block: u64, count: u64, entry: u64) -> Self {
+        Self {
+            bytes,
+            kept: block,
+            skipped: block.saturating_mul(count.saturating_sub(1)),
+            left: block,
+            to_skip: block.saturating_mul(entry),
+        }
+    }
+}
+
+impl<R: Read> Read for EntryAlongAxis<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if self.left == 0 {
+            self.to_skip = self.skipped;
+            self.left = self.kept;
+        }
+        while self.to_skip > 0 {
+            let skipped = io::copy(&mut self.bytes.by_ref().take(self.to_skip), &mut io::sink())?;
+            if skipped == 0 {
+                return Ok(0);
+            }
+            self.to_skip -= skipped;
+        }
+        let length = (buffer.len() as u64).min(self.left) as usize;
+        let bytes = self
+            .bytes
+            .read(buffer.get_mut(..length).unwrap_or_default())?;
+        self.left -= bytes as u64;
+        Ok(bytes)
     }
 }

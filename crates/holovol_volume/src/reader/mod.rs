@@ -5,46 +5,41 @@
 //! panics on a negative `pixdim`; for NRRD the registry has no maintained reader.
 
 mod decode;
+mod dicom;
 mod error;
 mod input;
+mod limits;
+mod metaimage;
 mod nifti;
 mod nrrd;
 mod numbers;
+mod options;
+mod parallel;
 mod placement;
+mod raw;
+mod select;
+mod source;
+mod threaded;
+mod tiff;
+mod vdb;
+mod zip;
 
 use std::path::Path;
 
+pub use dicom::DicomReader;
 pub use error::VolumeError;
 pub use input::Input;
+pub use metaimage::MetaImageReader;
 pub use nifti::NiftiReader;
 pub use nrrd::NrrdReader;
+pub use numbers::NumberType;
+pub use options::{CancelFlag, Content, Progress, ReadOptions};
+pub use raw::{Endian, RawLayout};
+pub use tiff::TiffReader;
+pub use vdb::VdbReader;
+pub use zip::ZipReader;
 
 use crate::Volume;
-
-/// How far a reader has come.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Progress {
-    /// Bytes of voxels read so far.
-    pub bytes: u64,
-    /// Bytes of voxels in all.
-    pub total_bytes: u64,
-}
-
-/// What a user may ask of a reader.
-#[derive(Clone, Debug, Default)]
-#[non_exhaustive]
-pub struct ReadOptions {
-    /// Refuse a file whose voxels need more bytes than this.
-    pub max_voxel_bytes: Option<u64>,
-}
-
-impl ReadOptions {
-    /// The same options with a limit on the bytes of voxels.
-    pub fn with_max_voxel_bytes(mut self, bytes: u64) -> Self {
-        self.max_voxel_bytes = Some(bytes);
-        self
-    }
-}
 
 /// Reads one family of files. Further formats join by implementing it and standing in [`readers`].
 pub trait VolumeReader: Sync {
@@ -68,11 +63,33 @@ pub trait VolumeReader: Sync {
         options: &ReadOptions,
         progress: &mut dyn FnMut(Progress),
     ) -> Result<Volume, VolumeError>;
+
+    /// The volumes that [`ReadOptions::choice`] can choose from, in the order of their numbers;
+    /// empty where there is only one.
+    ///
+    /// # Errors
+    /// If the file can't be read far enough to tell.
+    fn contents(
+        &self,
+        input: Input<'_>,
+        options: &ReadOptions,
+    ) -> Result<Vec<Content>, VolumeError> {
+        let _ = (input, options);
+        Ok(Vec::new())
+    }
 }
 
 /// All known formats.
 pub fn readers() -> &'static [&'static dyn VolumeReader] {
-    &[&NiftiReader, &NrrdReader]
+    &[
+        &NiftiReader,
+        &NrrdReader,
+        &MetaImageReader,
+        &DicomReader,
+        &VdbReader,
+        &TiffReader,
+        &ZipReader,
+    ]
 }
 
 fn supported_formats() -> String {
@@ -92,14 +109,30 @@ pub fn open(path: &Path, progress: &mut dyn FnMut(Progress)) -> Result<Volume, V
 
 /// Reads a volume: the format is found by the file's first bytes, else by its name.
 ///
+/// A folder is read as the DICOM series in it; a file with a sidecar (see [`RawLayout`]), or with
+/// [`ReadOptions::raw`], as voxels without a header.
+///
 /// # Errors
-/// See [`VolumeError`].
+/// See [`VolumeError`]; of several series or grids none of which is chosen
+/// [`VolumeError::Choose`], which lists them.
 pub fn open_with(
     path: &Path,
     options: &ReadOptions,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<Volume, VolumeError> {
-    read(Input::open(path)?, options, progress)
+    if path.is_dir() {
+        return dicom::read_folder(path, options, progress)
+            .map_err(|error| error.within(path, "DICOM"));
+    }
+    let input = Input::open(path)?;
+    let sidecar = match options.raw {
+        Some(_) => None,
+        None => RawLayout::from_sidecar(path)?,
+    };
+    if let Some(layout) = options.raw.as_ref().or(sidecar.as_ref()) {
+        return raw::read(input, layout, options, progress);
+    }
+    read(input, options, progress)
 }
 
 /// Reads a volume from any input, see [`open_with`].
@@ -111,6 +144,33 @@ pub fn read(
     options: &ReadOptions,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<Volume, VolumeError> {
+    if let Some(layout) = &options.raw {
+        return raw::read(input, layout, options, progress);
+    }
+    let (reader, input) = find_reader(input)?;
+    let path = input.path().to_path_buf();
+    reader
+        .read(input, options, progress)
+        .map_err(|error| error.within(&path, reader.name()))
+}
+
+/// The volumes in a file or folder that [`ReadOptions::choice`] can choose from; empty where there
+/// is only one.
+///
+/// # Errors
+/// See [`VolumeError`].
+pub fn contents(path: &Path, options: &ReadOptions) -> Result<Vec<Content>, VolumeError> {
+    if path.is_dir() {
+        return dicom::list_folder(path, options);
+    }
+    if options.raw.is_some() || RawLayout::from_sidecar(path)?.is_some() {
+        return Ok(Vec::new());
+    }
+    let (reader, input) = find_reader(Input::open(path)?)?;
+    reader.contents(input, options)
+}
+
+fn find_reader(input: Input<'_>) -> Result<(&'static dyn VolumeReader, Input<'_>), VolumeError> {
     let mut input = input.gunzip_if_packed()?;
     let first = input.peek()?;
     let name = input.path().to_string_lossy().to_lowercase();
@@ -124,7 +184,7 @@ pub fn read(
         return Err(unknown_format(&input, "the file is empty"));
     }
     match by_content.or_else(by_name) {
-        Some(reader) => reader.read(input, options, progress),
+        Some(reader) => Ok((*reader, input)),
         None => Err(unknown_format(&input, "its format is not known")),
     }
 }

@@ -1,23 +1,36 @@
 use bytemuck::Pod;
+use serde::{Deserialize, Serialize};
 
 use crate::VoxelKind;
 
 /// The type of the numbers in a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum NumberType {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum NumberType {
+    /// Unsigned, 8 bits.
     U8,
+    /// Signed, 8 bits.
     I8,
+    /// Unsigned, 16 bits.
     U16,
+    /// Signed, 16 bits.
     I16,
+    /// Unsigned, 32 bits.
     U32,
+    /// Signed, 32 bits.
     I32,
+    /// Unsigned, 64 bits.
     U64,
+    /// Signed, 64 bits.
     I64,
+    /// IEEE float, 32 bits.
     F32,
+    /// IEEE float, 64 bits.
     F64,
 }
 
 impl NumberType {
+    /// Size of one number in bytes.
     pub fn bytes(self) -> usize {
         match self {
             Self::U8 | Self::I8 => 1,
@@ -27,6 +40,7 @@ impl NumberType {
         }
     }
 
+    /// The name that Rust and NumPy users know: `u8` to `f64`.
     pub fn name(self) -> &'static str {
         match self {
             Self::U8 => "u8",
@@ -40,6 +54,26 @@ impl NumberType {
             Self::F32 => "f32",
             Self::F64 => "f64",
         }
+    }
+}
+
+impl std::str::FromStr for NumberType {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        Ok(match name.trim().to_lowercase().as_str() {
+            "u8" | "uint8" => Self::U8,
+            "i8" | "int8" => Self::I8,
+            "u16" | "uint16" => Self::U16,
+            "i16" | "int16" => Self::I16,
+            "u32" | "uint32" => Self::U32,
+            "i32" | "int32" => Self::I32,
+            "u64" | "uint64" => Self::U64,
+            "i64" | "int64" => Self::I64,
+            "f32" | "float32" => Self::F32,
+            "f64" | "float64" => Self::F64,
+            _ => return Err("expected u8, i8, u16, i16, u32, i32, u64, i64, f32 or f64".into()),
+        })
     }
 }
 

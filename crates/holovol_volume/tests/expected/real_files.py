@@ -1,21 +1,92 @@
-"""Writes real_files.json: what nibabel and pynrrd say of the volumes in ../shared/data/volumes.
+"""Writes real_files.json: what other readers say of the volumes in ../shared/data/volumes.
 
-pip install nibabel pynrrd numpy; python real_files.py path/to/data/volumes
+nibabel (NIfTI), pynrrd (NRRD), pydicom (DICOM), NumPy (MetaImage's raw file); each compared here
+with what SimpleITK says. OpenVDB's own module reads the cloud.
+
+pip install nibabel pynrrd numpy pydicom SimpleITK
+python real_files.py path/to/data/volumes
+python real_files.py path/to/data/volumes --vdb     (with an interpreter that has pyopenvdb)
 """
 
 import json
 import pathlib
 import sys
 
-import nibabel
-import nrrd
 import numpy as np
+
+is_vdb = "--vdb" in sys.argv
+if not is_vdb:
+    import nibabel
+    import nrrd
+    import pydicom
+    import SimpleITK as sitk
 
 folder = pathlib.Path(sys.argv[1])
 PERCENTILES = [1, 50, 99, 99.9]
-facts = {}
+out = pathlib.Path(__file__).with_name("real_files.json")
+facts = json.loads(out.read_text()) if is_vdb else {}
+RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+
+
+def read_dicom(path):
+    """Stored values, values, affine in RAS, from pydicom alone."""
+    slices = [pydicom.dcmread(file) for file in path.iterdir()]
+    row, column = np.array(slices[0].ImageOrientationPatient, float).reshape(2, 3)
+    normal = np.cross(row, column)
+    slices.sort(key=lambda s: np.dot(normal, np.array(s.ImagePositionPatient, float)))
+    first, last = (np.array(slices[i].ImagePositionPatient, float) for i in (0, -1))
+    affine = np.eye(4)
+    affine[:3, 0] = row * float(slices[0].PixelSpacing[1])
+    affine[:3, 1] = column * float(slices[0].PixelSpacing[0])
+    affine[:3, 2] = (last - first) / (len(slices) - 1)
+    affine[:3, 3] = first
+    stored = np.stack([s.pixel_array for s in slices]).transpose(2, 1, 0)
+    scaled = [
+        s.pixel_array * float(s.RescaleSlope) + float(s.RescaleIntercept) for s in slices
+    ]
+    return stored, np.stack(scaled).transpose(2, 1, 0), RAS_FROM_LPS @ affine
+
+
+def read_itk(path):
+    """Values and affine in RAS, from SimpleITK alone."""
+    if path.is_dir():
+        path = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(path))
+        image = sitk.ReadImage(path)
+    else:
+        image = sitk.ReadImage(str(path))
+    affine = np.eye(4)
+    affine[:3, :3] = np.array(image.GetDirection()).reshape(3, 3) @ np.diag(image.GetSpacing())
+    affine[:3, 3] = image.GetOrigin()
+    return sitk.GetArrayFromImage(image).transpose(2, 1, 0), RAS_FROM_LPS @ affine
+
+
 for name in sorted(p.name for p in folder.iterdir()):
-    if name.endswith(".nii.gz"):
+    percentiles = PERCENTILES
+    if is_vdb != name.endswith(".vdb"):
+        continue
+    if is_vdb:
+        import pyopenvdb
+
+        grid = pyopenvdb.read(str(folder / name), "density")
+        low, high = (np.array(corner) for corner in grid.evalActiveVoxelBoundingBox())
+        stored = values = np.zeros(high - low + 1, np.float32)
+        grid.copyToArray(stored, ijk=tuple(map(int, low)))
+        spacing = np.array(grid.transform.voxelSize()) * 1e3
+        affine, codes = np.diag([*spacing, 1.0]), None
+        affine[:3, 3] = spacing * low
+        # Between two floats NumPy interpolates.
+        percentiles = []
+    elif (folder / name).is_dir():
+        stored, values, affine = read_dicom(folder / name)
+        codes = "".join(nibabel.aff2axcodes(affine))
+        spacing = np.linalg.norm(affine[:3, :3], axis=0)
+    elif name.endswith(".mhd"):
+        raw = np.fromfile(folder / name.replace(".mhd", ".raw"), "<u2")
+        stored = values = raw.reshape((271, 193, 270), order="F")
+        _, affine = read_itk(folder / name)
+        codes = "".join(nibabel.aff2axcodes(affine))
+        spacing = np.linalg.norm(affine[:3, :3], axis=0)
+    elif name.endswith(".nii.gz"):
         image = nibabel.load(folder / name)
         values = np.asarray(image.dataobj)
         stored = np.asarray(image.dataobj.get_unscaled())
@@ -29,6 +100,11 @@ for name in sorted(p.name for p in folder.iterdir()):
         spacing = header["spacings"]
     else:
         continue
+    if not is_vdb:
+        itk_values, itk_affine = read_itk(folder / name)
+        assert np.allclose(itk_values, values, rtol=1e-6, atol=1e-6), name
+        if codes:
+            assert np.allclose(itk_affine, affine, atol=1e-4), (name, itk_affine, affine)
     rng = np.random.default_rng(1)
     indices = rng.integers(0, values.shape, (24, 3))
     facts[name] = {
@@ -39,8 +115,7 @@ for name in sorted(p.name for p in folder.iterdir()):
         "axis_codes": codes,
         "range": [float(values.min()), float(values.max())],
         "mean": float(values.mean(dtype=np.float64)),
-        "percentiles": [[p, float(np.percentile(values, p))] for p in PERCENTILES],
+        "percentiles": [[p, float(np.percentile(values, p))] for p in percentiles],
         "voxels": [[*map(int, i), float(values[tuple(i)])] for i in indices],
     }
-out = pathlib.Path(__file__).with_name("real_files.json")
 out.write_text(json.dumps(facts, indent=1) + "\n")

@@ -137,6 +137,96 @@ fn slope_zero_of_both_signs_scales_nothing() {
     );
 }
 
+#[test]
+fn scaling_beyond_all_numbers_is_refused() {
+    let mut file = Nifti::new(true, false, 4, &[2], &[1i16, 20_000]);
+    file.scaling(1e306, 0.0);
+    let text = message(&file.bytes());
+    assert!(text.contains("slope") && text.contains("1e306"), "{text}");
+}
+
+/// Whole files of the formats that other libraries wrote.
+fn phantoms() -> Vec<(String, Vec<u8>)> {
+    let folder = crate::formats::folder();
+    let codecs = folder.join("codecs");
+    let mut paths: Vec<_> = [
+        "itk.mha",
+        "float.vdb",
+        "half.vdb",
+        "ome.ome.tif",
+        "ome_tiled.ome.tif",
+        "imagej.tif",
+        "dicom_enhanced.dcm",
+        "dicom_zip.zip",
+        "dicom_big/0.dcm",
+        "dicom_deflated/0.dcm",
+    ]
+    .map(|name| folder.join(name))
+    .into();
+    for entry in std::fs::read_dir(codecs).expect("it is there").flatten() {
+        paths.push(entry.path());
+    }
+    paths.sort();
+    let read = |path: std::path::PathBuf| {
+        let bytes = std::fs::read(&path).expect("it is there");
+        (path.display().to_string(), bytes)
+    };
+    paths.into_iter().map(read).collect()
+}
+
+/// Reads what may be damaged: soon, and with a message that names the file and a way out.
+fn survives(name: &str, bytes: &[u8]) {
+    let start = Instant::now();
+    match read(bytes) {
+        Ok(volume) => {
+            let world = volume.world_from_unit_cube();
+            assert!(
+                world.is_finite() && world.determinant() != 0.0,
+                "{name}: {world}"
+            );
+            assert!(volume.range().iter().all(|edge| edge.is_finite()), "{name}");
+        }
+        Err(error) => {
+            let text = error.to_string();
+            assert!(
+                text.starts_with("memory") && text.len() > 30,
+                "{name}: {text}"
+            );
+        }
+    }
+    assert!(start.elapsed().as_secs_f64() < 5.0, "{name} takes long");
+}
+
+#[test]
+fn phantoms_are_survived_when_cut_off() {
+    for (name, bytes) in phantoms() {
+        // Every byte of the headers, then some of the rest.
+        let steps = (0..bytes.len().min(700)).chain((700..bytes.len()).step_by(61));
+        for length in steps {
+            survives(&format!("{length} bytes of {name}"), &bytes[..length]);
+        }
+    }
+}
+
+#[test]
+fn phantoms_are_survived_with_any_bit_flipped() {
+    for (name, bytes) in phantoms() {
+        let bits =
+            (0..bytes.len().min(900) * 8).step_by(if cfg!(debug_assertions) { 7 } else { 1 });
+        for bit in bits {
+            let mut bytes = bytes.clone();
+            bytes[bit / 8] ^= 1 << (bit % 8);
+            survives(&format!("{name} with bit {bit} flipped"), &bytes);
+        }
+        // The pixels, too.
+        for byte in (900..bytes.len()).step_by(37) {
+            let mut bytes = bytes.clone();
+            bytes[byte] ^= 0x55;
+            survives(&format!("{name} with byte {byte} changed"), &bytes);
+        }
+    }
+}
+
 /// What must hold of any volume that is read at all.
 fn check_sound(bytes: &[u8]) {
     let Ok(volume) = read(bytes) else { return };

@@ -2,8 +2,11 @@
 
 mod bytes;
 mod damaged;
+mod dicom;
+mod formats;
 mod nifti;
 mod nrrd;
 mod open;
 mod phantoms;
 mod real;
+mod writing;

@@ -345,7 +345,7 @@ fn of_several_volumes_the_first_is_read() {
     assert_eq!(values(&volume), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
     assert_eq!(
         volume.notices(),
-        ["the file has 6 volumes: this is the first"]
+        ["the file has 6 volumes: this is number 1; another can be chosen"]
     );
     let single = Nifti::new(false, false, 512, &[2, 2, 2, 1, 0], &voxels[..8]);
     assert_eq!(good(&single.bytes()).notices().len(), 0);
@@ -416,7 +416,7 @@ fn bad_headers_name_field_and_way_out() {
         ),
         (
             with(&|f| f.put(344, 0, b"ni1\0".to_vec())),
-            [".img", "single .nii"],
+            ["memory.img", "put it there"],
         ),
         (
             with(&|f| f.put(344, 0, b"abcd".to_vec())),

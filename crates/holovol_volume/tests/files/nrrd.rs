@@ -398,7 +398,7 @@ fn bad_headers_name_field_and_way_out() {
         (replaced("sizes", "sizes: 65536 65536 65536"), "at most 12"),
         (replaced("endian", "# none"), "`endian` is missing"),
         (replaced("endian", "endian: middle"), "little or big"),
-        (replaced("encoding", "encoding: bzip2"), "gzip or raw"),
+        (replaced("encoding", "encoding: bzip2"), "bz2 header"),
         (replaced("encoding", "encoding: zip"), "`encoding`"),
         (replaced("encoding", "# none"), "`encoding` is missing"),
         (replaced("encoding", "gibberish"), "gibberish"),
@@ -415,11 +415,11 @@ fn bad_headers_name_field_and_way_out() {
         ),
         (
             with(&["encoding: raw", "data file: LIST 2"], b""),
-            "a list of files",
+            "0 files",
         ),
         (
             with(&["encoding: raw", "data file: a%02d.raw 1 9 1"], b""),
-            "series of numbered",
+            "9 files",
         ),
         (with(&["encoding: raw", "data file: a.raw"], b""), "a.raw"),
     ] {

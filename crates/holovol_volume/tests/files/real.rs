@@ -1,4 +1,4 @@
-//! Reads the real volumes of the shared data set; expected numbers are nibabel's and pynrrd's
+//! Reads the real volumes of the shared data set; expected numbers are other readers'
 //! (`../expected/real_files.py`).
 
 use std::path::{Path, PathBuf};
@@ -46,6 +46,7 @@ fn check(name: &str) -> Option<Volume> {
         "u8" => "uint8",
         "i16" => "int16",
         "u16" => "uint16",
+        "f32" => "float32",
         other => panic!("{other}"),
     };
     assert_eq!(facts["stored_type"], numpy_name);
@@ -180,17 +181,9 @@ fn heptane_jet_combustion() {
 
 #[test]
 fn mouse_brain_window_leaves_out_bright_specks() {
-    let Some(folder) = shared_volumes() else {
+    let Some(volume) = check("mouse_brain_microscopy.mhd") else {
         return;
     };
-    let bytes = std::fs::read(folder.join("mouse_brain_microscopy.raw")).expect("data is there");
-    let values = (bytes
-        .chunks_exact(2)
-        .map(|b| u16::from_le_bytes([b[0], b[1]])))
-    .collect();
-    let geometry = holovol_volume::Geometry::from_spacing([4e-5, 4e-5, 5e-5]);
-    let voxels = holovol_volume::Voxels::U16(values);
-    let volume = Volume::new(voxels, [271, 193, 270], 1.0, 0.0, geometry).expect("it fits");
     assert_eq!(volume.range(), [0.0, 14580.0]);
     assert!((volume.percentile(99.9) - 569.0).abs() < 1.0);
     let [low, high] = volume.auto_window();
@@ -198,4 +191,21 @@ fn mouse_brain_window_leaves_out_bright_specks() {
         (0.0..100.0).contains(&low) && (391.0..800.0).contains(&high),
         "{low} {high}"
     );
+}
+
+#[test]
+fn thorax_is_sorted_by_position() {
+    let Some(volume) = check("lidc-idri-0314_ct_thorax_dicom") else {
+        return;
+    };
+    assert_eq!(volume.range(), [-1000.0, 1766.0]);
+    assert_eq!(volume.notices(), &[] as &[String]);
+}
+
+#[test]
+fn cloud_keeps_its_tiles() {
+    let Some(volume) = check("wdas_cloud_sixteenth.vdb") else {
+        return;
+    };
+    assert_eq!(volume.dims(), [126, 86, 154]);
 }

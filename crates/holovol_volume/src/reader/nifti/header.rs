@@ -50,6 +50,18 @@ pub(super) struct Header<'a> {
     version: Version,
     big_endian: bool,
     path: &'a Path,
+    storage: Storage,
+}
+
+/// Where the voxels are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Storage {
+    /// In this file.
+    Single,
+    /// In the `.img` file beside this one.
+    Pair,
+    /// Likewise; the header is of Analyze 7.5, which NIfTI grew from.
+    Analyze,
 }
 
 impl<'a> Header<'a> {
@@ -60,28 +72,44 @@ impl<'a> Header<'a> {
         big_endian: bool,
         path: &'a Path,
     ) -> Result<Self, VolumeError> {
-        let header = Self {
+        let mut header = Self {
             bytes,
             version,
             big_endian,
             path,
+            storage: Storage::Single,
         };
         let magic: [u8; 4] = header.array(match version {
             Version::One => 344,
             Version::Two => 4,
         });
-        match &magic {
-            b"n+1\0" | b"n+2\0" => Ok(header),
-            b"ni1\0" | b"ni2\0" => Err(VolumeError::Unsupported {
-                path: path.into(),
-                what: "voxels in a separate .img file can't be read".into(),
-                way_out: "convert the pair to a single .nii file".into(),
-            }),
-            _ => Err(header.error(
-                "magic",
-                format!("{:?}", String::from_utf8_lossy(&magic)),
-                "n+1 or n+2: an Analyze 7.5 header has none; convert it to .nii",
-            )),
+        let is_header_file = path
+            .extension()
+            .is_some_and(|end| end.eq_ignore_ascii_case("hdr"));
+        header.storage = match &magic {
+            b"n+1\0" | b"n+2\0" => Storage::Single,
+            b"ni1\0" | b"ni2\0" => Storage::Pair,
+            _ if is_header_file && version == Version::One => Storage::Analyze,
+            _ => {
+                return Err(header.error(
+                    "magic",
+                    format!("{:?}", String::from_utf8_lossy(&magic)),
+                    "n+1, ni1, n+2 or ni2; an Analyze 7.5 header, which has none, is named .hdr",
+                ));
+            }
+        };
+        Ok(header)
+    }
+
+    pub fn storage(&self) -> Storage {
+        self.storage
+    }
+
+    /// The format's name, as in messages.
+    pub fn format(&self) -> &'static str {
+        match self.storage {
+            Storage::Analyze => "Analyze 7.5",
+            _ => self.version.name(),
         }
     }
 
@@ -93,7 +121,7 @@ impl<'a> Header<'a> {
     ) -> VolumeError {
         VolumeError::Field {
             path: self.path.into(),
-            format: self.version.name(),
+            format: self.format(),
             field: field.into(),
             found: found.into(),
             expected: expected.into(),
@@ -189,7 +217,10 @@ impl<'a> Header<'a> {
             Version::Two => i64::from_le_bytes(self.number(168)) as f64,
         };
         // Writers leave 0 for "right after the header".
-        let first = self.version.first_offset();
+        let first = match self.storage {
+            Storage::Single => self.version.first_offset(),
+            _ => 0,
+        };
         if offset.is_nan() || offset < 0.0 || offset > i64::MAX as f64 {
             return Err(self.error(
                 "vox_offset",
@@ -202,6 +233,9 @@ impl<'a> Header<'a> {
 
     /// `scl_slope` and `scl_inter`; a slope of 0 or NaN means that values aren't scaled.
     pub fn scaling(&self, notices: &mut Vec<String>) -> (f64, f64) {
+        if self.storage == Storage::Analyze {
+            return (1.0, 0.0);
+        }
         let slope = self.float(112, 176, 0);
         let intercept = self.float(116, 184, 0);
         if slope == 0.0 || slope.is_nan() {
@@ -240,6 +274,12 @@ impl<'a> Header<'a> {
         }
     }
 
+    /// Whether the values are labels (`NIFTI_INTENT_LABEL`).
+    pub fn is_labels(&self) -> bool {
+        const LABEL: i32 = 1002;
+        self.storage != Storage::Analyze && self.code(68, 504) == LABEL
+    }
+
     /// Spacing and orientation, by the best of the header's three ways of saying it.
     pub fn geometry(&self, notices: &mut Vec<String>) -> Geometry {
         let metres = self.metres_per_unit(notices);
@@ -250,18 +290,16 @@ impl<'a> Header<'a> {
             "pixdim",
             &mut pixdim_notices,
         );
-        let mut sound = |name: &str, geometry: Option<Geometry>| {
-            let geometry = geometry?;
-            match check_directions(&geometry.metres_from_index) {
-                Ok(()) => Some(geometry),
-                Err(problem) => {
-                    notices.push(format!(
-                        "the {name}'s directions are {problem}: it is ignored"
-                    ));
-                    None
-                }
-            }
-        };
+        if self.storage == Storage::Analyze {
+            // What follows the sizes there are other things.
+            notices.append(&mut pixdim_notices);
+            notices.push(
+                "an Analyze 7.5 header does not tell left from right: orientation is not known"
+                    .into(),
+            );
+            return Geometry::from_spacing(spacing);
+        }
+        let mut sound = |name: &str, geometry: Option<Geometry>| sound(name, geometry, notices);
         let sform = sound("s-form", self.sform(metres));
         let qform = sound("q-form", self.qform(spacing));
         if let (Some(sform), Some(qform)) = (&sform, &qform)
@@ -320,5 +358,19 @@ impl<'a> Header<'a> {
                 checked_origin(self.float3(268, 376, 0) * metres),
             )
         })
+    }
+}
+
+/// A geometry whose directions are fit for use; says why one isn't.
+fn sound(name: &str, geometry: Option<Geometry>, notices: &mut Vec<String>) -> Option<Geometry> {
+    let geometry = geometry?;
+    match check_directions(&geometry.metres_from_index) {
+        Ok(()) => Some(geometry),
+        Err(problem) => {
+            notices.push(format!(
+                "the {name}'s directions are {problem}: it is ignored"
+            ));
+            None
+        }
     }
 }

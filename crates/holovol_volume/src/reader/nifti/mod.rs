@@ -1,17 +1,20 @@
-//! NIfTI-1 and NIfTI-2, single files (`.nii`, `.nii.gz`), either byte order.
+//! NIfTI-1 and NIfTI-2, single files (`.nii`, `.nii.gz`) and pairs (`.hdr` and `.img`), either
+//! byte order; Analyze 7.5 pairs.
 //!
-//! Of a 4-D file the first volume is read. The s-form places the voxels if it is set and sound,
+//! Of a 4-D file the first volume is read, or the one that was chosen. The s-form places the voxels if it is set and sound,
 //! else the q-form, else the spacings alone.
 
 mod header;
 
 use std::io::Read;
+use std::path::Path;
 
 use super::decode::{self, Decoded, Layout};
 use super::numbers::NumberType;
-use super::{Input, Progress, ReadOptions, VolumeReader};
+use super::options::Content;
+use super::{Input, Progress, ReadOptions, VolumeReader, select};
 use crate::{SourceFormat, Volume, VolumeError};
-use header::{Header, Version};
+use header::{Header, Storage, Version};
 
 /// Reads NIfTI-1 and NIfTI-2.
 #[derive(Clone, Copy, Debug)]
@@ -23,7 +26,7 @@ impl VolumeReader for NiftiReader {
     }
 
     fn extensions(&self) -> &'static [&'static str] {
-        &[".nii", ".nii.gz"]
+        &[".nii", ".nii.gz", ".hdr", ".img"]
     }
 
     fn recognises(&self, first_bytes: &[u8]) -> bool {
@@ -36,6 +39,9 @@ impl VolumeReader for NiftiReader {
         options: &ReadOptions,
         progress: &mut dyn FnMut(Progress),
     ) -> Result<Volume, VolumeError> {
+        if let Some(header) = header_of_image(&mut input)? {
+            input = header;
+        }
         let path = input.path().to_path_buf();
         let truncated = || VolumeError::TruncatedHeader {
             path: path.clone(),
@@ -75,31 +81,119 @@ impl VolumeReader for NiftiReader {
         let (slope, intercept) = header.scaling(&mut notices);
         let geometry = header.geometry(&mut notices);
         let volumes = header.volume_count();
-        input.skip(header.voxel_offset()? - version.header_bytes())?;
+        let mut data = match header.storage() {
+            Storage::Single => {
+                input.skip(header.voxel_offset()? - version.header_bytes())?;
+                input
+            }
+            Storage::Pair | Storage::Analyze => {
+                let mut data = image_of_header(&input)?;
+                data.skip(header.voxel_offset()?)?;
+                data
+            }
+        };
+        let volume = select::entry(options, &path, volumes, "volume", "volume")?;
+        let volume_bytes = layout.voxel_bytes().unwrap_or(u64::MAX);
+        data.skip(volume_bytes.saturating_mul(volume))?;
         let Decoded {
             voxels,
             notices: lost,
-        } = decode::read_voxels(&mut input, &layout, options, progress)?;
+            rounded,
+        } = decode::read_voxels(&mut data, &layout, options, progress)?;
         notices.extend(lost);
         if volumes > 1 {
-            notices.push(format!("the file has {volumes} volumes: this is the first"));
+            notices.push(select::notice(volumes, "volumes", volume));
         } else {
-            notices.extend(decode::check_end(&mut input)?);
+            notices.extend(decode::check_end(&mut data)?);
         }
 
         let mut volume = Volume::new(voxels, layout.dims, slope, intercept, geometry)?
+            .with_rounded(rounded)
             .with_source_format(SourceFormat {
-                name: version.name(),
+                name: header.format(),
                 numbers: layout.number.name(),
             });
         if let Some(window) = header.window() {
             volume = volume.with_header_window(window);
         }
+        if header.is_labels() {
+            volume = volume.with_labels(Vec::new());
+        }
         Ok(notices.into_iter().fold(volume, Volume::with_notice))
+    }
+
+    fn contents(
+        &self,
+        mut input: Input<'_>,
+        _options: &ReadOptions,
+    ) -> Result<Vec<Content>, VolumeError> {
+        if let Some(header) = header_of_image(&mut input)? {
+            input = header;
+        }
+        let path = input.path().to_path_buf();
+        let start = input.peek()?;
+        let Some((version, big_endian)) = Version::detect(&start) else {
+            return Ok(Vec::new());
+        };
+        let header = Header::new(&start, version, big_endian, &path)?;
+        let volumes = header.volume_count();
+        Ok(if volumes > 1 {
+            select::contents(volumes, "volume")
+        } else {
+            Vec::new()
+        })
     }
 }
 
-fn number_type(header: &Header<'_>, path: &std::path::Path) -> Result<NumberType, VolumeError> {
+/// The header of a pair, where its image was named.
+fn header_of_image<'a>(input: &mut Input<'a>) -> Result<Option<Input<'a>>, VolumeError> {
+    let name = input.path().to_string_lossy().into_owned();
+    let stem = [".img", ".img.gz"].iter().find_map(|end| {
+        name.len()
+            .checked_sub(end.len())
+            .filter(|_| name.to_lowercase().ends_with(end))
+    });
+    let Some(stem) = stem.and_then(|length| name.get(..length)) else {
+        return Ok(None);
+    };
+    if Version::detect(&input.peek()?).is_some() {
+        return Ok(None);
+    }
+    open_first(input, stem, &[".hdr", ".HDR", ".hdr.gz"]).map(Some)
+}
+
+/// The image of a pair, unpacked if need be.
+fn image_of_header(input: &Input<'_>) -> Result<Input<'static>, VolumeError> {
+    let name = input.path().to_string_lossy().into_owned();
+    let stem = [".hdr", ".hdr.gz"]
+        .iter()
+        .find_map(|end| {
+            name.len()
+                .checked_sub(end.len())
+                .filter(|_| name.to_lowercase().ends_with(end))
+        })
+        .and_then(|length| name.get(..length))
+        .unwrap_or(&name);
+    open_first(input, stem, &[".img", ".IMG", ".img.gz"])?.gunzip_if_packed()
+}
+
+/// Opens the first file that is there; the first one's error if none is.
+fn open_first(input: &Input<'_>, stem: &str, ends: &[&str]) -> Result<Input<'static>, VolumeError> {
+    let stem = Path::new(stem)
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy();
+    let mut first = None;
+    for end in ends {
+        match input.open_sibling(&format!("{stem}{end}")) {
+            Ok(file) => return file.gunzip_if_packed(),
+            Err(error) => first = first.or(Some(error)),
+        }
+    }
+    Err(first.unwrap_or_else(|| VolumeError::io(input.path(), std::io::ErrorKind::NotFound.into())))
+}
+
+fn number_type(header: &Header<'_>, path: &Path) -> Result<NumberType, VolumeError> {
     let code = header.datatype();
     let unsupported = |name: &str, way_out: &str| {
         Err(VolumeError::Unsupported {

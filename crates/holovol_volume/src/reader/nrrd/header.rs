@@ -2,9 +2,10 @@ use std::collections::BTreeMap;
 use std::io::{BufRead, Read};
 use std::path::PathBuf;
 
-use crate::VolumeError;
 use crate::reader::Input;
+use crate::reader::metaimage::numbered;
 use crate::reader::numbers::NumberType;
+use crate::{Label, VolumeError};
 
 /// Headers with a page of diffusion gradients have tens of kilobytes; anything like this is none.
 const HEADER_BYTES_MAX: u64 = 4 << 20;
@@ -18,12 +19,25 @@ pub(super) enum Encoding {
     Text,
     Hex,
     Gzip,
+    Bzip2,
 }
 
 /// A header's fields by name, in lower case and without spaces: `data file` is `datafile`.
 pub(super) struct Header {
     path: PathBuf,
     fields: BTreeMap<String, String>,
+    /// `key:=value` lines.
+    notes: BTreeMap<String, String>,
+    /// What follows `data file: LIST`.
+    list: Vec<String>,
+}
+
+/// Where the voxels are.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum DataFile {
+    Attached,
+    One(String),
+    Several(Vec<String>),
 }
 
 impl Header {
@@ -33,6 +47,8 @@ impl Header {
         let mut header = Self {
             path: path.clone(),
             fields: BTreeMap::new(),
+            notes: BTreeMap::new(),
+            list: Vec::new(),
         };
         let mut budget = HEADER_BYTES_MAX;
         let mut line = Vec::new();
@@ -69,8 +85,49 @@ impl Header {
                 break;
             }
             header.take_line(number, text)?;
+            let is_list = |name: &String| name == "LIST" || name.starts_with("LIST ");
+            if header.fields.get("datafile").is_some_and(is_list) {
+                header.take_list(input, budget)?;
+                break;
+            }
         }
         Ok(header)
+    }
+
+    /// The names after `data file: LIST`, one a line, up to the end.
+    fn take_list(&mut self, input: &mut Input<'_>, budget: u64) -> Result<(), VolumeError> {
+        let mut bytes = Vec::new();
+        input
+            .take(budget)
+            .read_to_end(&mut bytes)
+            .map_err(|source| VolumeError::decoding(&self.path, source))?;
+        let text = String::from_utf8_lossy(&bytes);
+        let names = text.lines().map(str::trim).filter(|name| !name.is_empty());
+        self.list = names.map(str::to_owned).collect();
+        Ok(())
+    }
+
+    /// What a segmentation (`.seg.nrrd`) calls its values; `None` if this is none.
+    pub fn labels(&self) -> Option<Vec<Label>> {
+        let note = |number: usize, what: &str| self.notes.get(&format!("Segment{number}_{what}"));
+        note(0, "ID").or_else(|| note(0, "LabelValue"))?;
+        let labels = (0..self.notes.len()).map_while(|number| {
+            let value = note(number, "LabelValue")?.parse::<f64>().ok()?;
+            let color = note(number, "Color").and_then(|text| {
+                let parts: Vec<f32> = text
+                    .split_whitespace()
+                    .filter_map(|part| part.parse().ok())
+                    .filter(|part| (0.0..=1.0).contains(part))
+                    .collect();
+                <[f32; 3]>::try_from(parts).ok()
+            });
+            Some(Label {
+                value,
+                name: note(number, "Name").cloned().unwrap_or_default(),
+                color,
+            })
+        });
+        Some(labels.collect())
     }
 
     fn check_magic(&self, line: &str) -> Result<(), VolumeError> {
@@ -101,7 +158,11 @@ impl Header {
         let (name, rest) = line.split_at(colon);
         let value = rest.trim_start_matches(':');
         // `key:=value` is a note by its writer, not a field.
-        if value.starts_with('=') {
+        if let Some(note) = value.strip_prefix('=') {
+            // Only a segmentation's are of use.
+            if name.starts_with("Segment") {
+                self.notes.insert(name.to_owned(), note.trim().to_owned());
+            }
             return Ok(());
         }
         let name: String = name
@@ -197,14 +258,11 @@ impl Header {
             "txt" | "text" | "ascii" => Ok(Encoding::Text),
             "hex" => Ok(Encoding::Hex),
             "gz" | "gzip" => Ok(Encoding::Gzip),
-            "bz2" | "bzip2" => Err(self.unsupported(
-                "`encoding: bzip2` can't be read",
-                "save it with gzip or raw encoding (`unu save -e gzip`)",
-            )),
+            "bz2" | "bzip2" => Ok(Encoding::Bzip2),
             _ => Err(self.error(
                 "encoding",
                 format!("{name:?}"),
-                "raw, gzip, ascii (text) or hex",
+                "raw, gzip, bzip2, ascii (text) or hex",
             )),
         }
     }
@@ -254,26 +312,31 @@ impl Header {
         })
     }
 
-    /// The detached data file's name, if there is one.
-    pub fn data_file(&self) -> Result<Option<&str>, VolumeError> {
+    /// Where the voxels are.
+    pub fn data_file(&self) -> Result<DataFile, VolumeError> {
         let Some(name) = self.field("data file") else {
-            return Ok(None);
-        };
-        let several = |what: &str| {
-            self.unsupported(
-                format!("`data file: {name}` ({what}) can't be read"),
-                "join the files into one (`unu save -e gzip`)",
-            )
+            return Ok(DataFile::Attached);
         };
         if name.is_empty() {
             return Err(self.error("data file", "empty", "the name of the data file"));
         }
         if name == "LIST" || name.starts_with("LIST ") {
-            return Err(several("a list of files"));
+            return Ok(DataFile::Several(self.list.clone()));
         }
-        if name.contains('%') && name.split_whitespace().count() >= 4 {
-            return Err(several("a series of numbered files"));
+        let words: Vec<&str> = name.split_whitespace().collect();
+        if let &[pattern, first, last, step, ..] = words.as_slice()
+            && pattern.contains('%')
+        {
+            let number = |word: &str| word.parse::<u64>().ok();
+            let names = numbered(pattern, number(first), number(last), number(step));
+            return names.map(DataFile::Several).ok_or_else(|| {
+                self.error(
+                    "data file",
+                    format!("{name:?}"),
+                    "a pattern such as slice%03d.raw with first, last and step, all 0 or more",
+                )
+            });
         }
-        Ok(Some(name))
+        Ok(DataFile::One(name.to_owned()))
     }
 }

@@ -1,7 +1,8 @@
 //! NRRD, attached (`.nrrd`) and detached (`.nhdr` and a data file), versions 1 to 5.
 //!
-//! Encodings raw, gzip, ascii and hex. Where an axis is not space (vector components, time) its
-//! first entry is read. Data spread over several files and bzip2 are refused.
+//! Encodings raw, gzip, bzip2, ascii and hex; data in one file, in a list or a numbered series of
+//! them. Where an axis is not space (vector components, time) its first entry is read, or the one
+//! that was chosen. Segmentations (`.seg.nrrd`) are told as labels.
 
 mod axes;
 mod filters;
@@ -10,11 +11,12 @@ mod header;
 use std::io::BufRead;
 
 use super::decode::{self, Decoded, Layout};
-use super::{Input, Progress, ReadOptions, VolumeReader};
+use super::options::Content;
+use super::{Input, Progress, ReadOptions, VolumeReader, select};
 use crate::{SourceFormat, Volume, VolumeError};
 use axes::Axes;
-use filters::{FirstAlongAxis, HexBytes, TextNumbers};
-use header::{Encoding, Header};
+use filters::{HexBytes, TextNumbers};
+use header::{DataFile, Encoding, Header};
 
 /// Reads NRRD.
 #[derive(Clone, Copy, Debug)]
@@ -56,33 +58,95 @@ impl VolumeReader for NrrdReader {
         };
 
         let data = match header.data_file()? {
-            Some(name) => input.open_sibling(name)?,
-            None => input,
+            DataFile::Attached => decoded(input, &header, encoding, &layout, &axes)?,
+            DataFile::One(name) => {
+                let data = input.open_sibling(&name)?;
+                decoded(data, &header, encoding, &layout, &axes)?
+            }
+            DataFile::Several(names) => several(&input, names, &header, encoding, &layout, &axes)?,
         };
-        let data = decoded(data, &header, encoding, &layout, &axes)?;
         let reduced = axes.reduced();
+        let entries = reduced.first().map_or(1, |&(steps, _)| steps);
+        let entry = select::entry(options, data.path(), entries, "entry", "volume")?;
+        let mut chosen = std::iter::once(entry).chain(std::iter::repeat(0));
         let mut data = reduced.iter().fold(data, |data, &(steps, numbers)| {
             let block = numbers.saturating_mul(number.bytes() as u64);
-            let at_most = data.at_most();
-            data.filtered(at_most, |bytes| FirstAlongAxis::new(bytes, block, steps))
+            data.entry_along_axis(block, steps, chosen.next().unwrap_or(0))
         });
         let Decoded {
             voxels,
             notices: lost,
+            rounded,
         } = decode::read_voxels(&mut data, &layout, options, progress)?;
         notices.extend(lost);
         if reduced.is_empty() {
             notices.extend(decode::check_end(&mut data)?);
         }
 
-        let volume = Volume::new(voxels, layout.dims, 1.0, 0.0, geometry)?.with_source_format(
-            SourceFormat {
+        if entry > 0 {
+            notices.push(format!(
+                "of the slowest of those axes this is entry {}",
+                entry + 1
+            ));
+        }
+        let mut volume = Volume::new(voxels, layout.dims, 1.0, 0.0, geometry)?
+            .with_rounded(rounded)
+            .with_source_format(SourceFormat {
                 name: self.name(),
                 numbers: number.name(),
-            },
-        );
+            });
+        if let Some(labels) = header.labels() {
+            volume = volume.with_labels(labels);
+        }
         Ok(notices.into_iter().fold(volume, Volume::with_notice))
     }
+
+    fn contents(
+        &self,
+        mut input: Input<'_>,
+        _options: &ReadOptions,
+    ) -> Result<Vec<Content>, VolumeError> {
+        let header = Header::read(&mut input)?;
+        let axes = Axes::new(&header, &mut Vec::new())?;
+        Ok(match axes.reduced().first() {
+            Some(&(steps, _)) => select::contents(steps, "entry"),
+            None => Vec::new(),
+        })
+    }
+}
+
+/// The voxels' bytes in several files, each of which has the same part of them.
+fn several(
+    input: &Input<'_>,
+    names: Vec<String>,
+    header: &Header,
+    encoding: Encoding,
+    layout: &Layout,
+    axes: &Axes,
+) -> Result<Input<'static>, VolumeError> {
+    if encoding != Encoding::Raw || header.skip("line skip")? != 0 {
+        return Err(header.unsupported(
+            "data in several files that are packed, or begin with lines to skip, can't be read",
+            "join the files into one (`unu save -e gzip`)",
+        ));
+    }
+    let skip = header.skip("byte skip")?;
+    let skip = u64::try_from(skip)
+        .map_err(|_| header.error("byte skip", skip.to_string(), "0 or more bytes"))?;
+    let numbers = axes
+        .sizes
+        .iter()
+        .fold(1u64, |product, &n| product.saturating_mul(n));
+    let bytes = numbers.saturating_mul(layout.number.bytes() as u64);
+    let count = names.len() as u64;
+    if count == 0 || bytes % count != 0 {
+        return Err(header.error(
+            "data file",
+            format!("{count} files"),
+            format!("files that share {bytes} bytes evenly"),
+        ));
+    }
+    input.open_siblings(names, skip, bytes / count)
 }
 
 /// The voxels' bytes: what is to be skipped skipped, what is encoded decoded.
@@ -103,8 +167,13 @@ fn decoded<'a>(
         }
     }
     // Lines are skipped in what is packed, bytes in what was packed.
-    if encoding == Encoding::Gzip {
-        data = data.gunzip();
+    match encoding {
+        Encoding::Gzip => data = data.gunzip(),
+        Encoding::Bzip2 => {
+            // Bzip2 has no bound worth the name: 45 bytes can hold 900,000.
+            data = data.filtered(None, bzip2::bufread::MultiBzDecoder::new);
+        }
+        Encoding::Raw | Encoding::Text | Encoding::Hex => {}
     }
     match header.skip("byte skip")? {
         bytes @ 0.. => data.skip(bytes.unsigned_abs())?,
@@ -133,7 +202,7 @@ fn decoded<'a>(
     let number_bytes = layout.number.bytes() as u64;
     let left = data.at_most();
     Ok(match encoding {
-        Encoding::Raw | Encoding::Gzip => data,
+        Encoding::Raw | Encoding::Gzip | Encoding::Bzip2 => data,
         Encoding::Text => {
             // A number takes a digit and a separator.
             let at_most = left.map(|text| text.div_ceil(2).saturating_mul(number_bytes));

@@ -1,0 +1,50 @@
+//! `holovol convert`: a volume in another format.
+
+use std::path::{Path, PathBuf};
+
+use holovol_volume::{OutputFormat, RawLayout, WriteError};
+
+use crate::cli::ConvertArgs;
+use crate::progress::Bar;
+use crate::{Exit, Failure};
+
+pub(crate) fn run(args: &ConvertArgs) -> Result<(), Failure> {
+    if OutputFormat::of(&args.out).is_none() {
+        let error = WriteError::UnknownFormat {
+            path: args.out.clone(),
+        };
+        return Err(Failure::new(Exit::Output, error.to_string()));
+    }
+    let part = part_of(&args.out);
+    let bar = Bar::new("loading");
+    let volume = holovol_volume::open_with(&args.file, &args.input.options(), &mut |progress| {
+        bar.set(progress.fraction(), "");
+    })?;
+    drop(bar);
+    for notice in volume.notices() {
+        eprintln!("note: {notice}");
+    }
+    let written = holovol_volume::write(&volume, &part, args.lossy)
+        .map_err(|error| error.to_string())
+        .and_then(|()| put_in_place(&part, &args.out).map_err(|error| error.to_string()));
+    written.map_err(|problem| {
+        // Nothing more can be done about leftovers that can't be removed either.
+        let _ = std::fs::remove_file(&part);
+        let _ = std::fs::remove_file(RawLayout::sidecar_path(&part));
+        Failure::new(Exit::Output, problem)
+    })
+}
+
+/// Where the file grows until it is whole: beside, with an ending that means the same format.
+fn part_of(path: &Path) -> PathBuf {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    path.with_file_name(format!("part.{name}"))
+}
+
+fn put_in_place(part: &Path, path: &Path) -> std::io::Result<()> {
+    let sidecar = RawLayout::sidecar_path(part);
+    if OutputFormat::of(path) == Some(OutputFormat::Raw) {
+        std::fs::rename(sidecar, RawLayout::sidecar_path(path))?;
+    }
+    std::fs::rename(part, path)
+}

@@ -1,0 +1,49 @@
+//! Choosing one of several volumes that lie in one file without names.
+
+use std::path::Path;
+
+use super::ReadOptions;
+use super::options::{Content, chosen};
+use crate::VolumeError;
+
+/// More entries than this are not listed one by one.
+const LISTED_MAX: u64 = 1000;
+
+/// The index among `count` entries that the user chose; the first by default.
+pub(super) fn entry(
+    options: &ReadOptions,
+    path: &Path,
+    count: u64,
+    kind: &str,
+    other: &str,
+) -> Result<u64, VolumeError> {
+    let Some(choice) = options.choice.as_deref() else {
+        return Ok(0);
+    };
+    let contents = contents(count, if count > 1 { kind } else { other });
+    match chosen(choice, &contents) {
+        Some(index) => Ok(index as u64),
+        None => Err(VolumeError::NoSuchChoice {
+            path: path.into(),
+            choice: choice.into(),
+            contents,
+        }),
+    }
+}
+
+/// Entries that have only numbers.
+pub(super) fn contents(count: u64, kind: &str) -> Vec<Content> {
+    let content = |index: u64| Content {
+        description: format!("{kind} {}", index + 1),
+        ..Content::default()
+    };
+    (0..count.min(LISTED_MAX)).map(content).collect()
+}
+
+/// What to tell of a file that holds several.
+pub(super) fn notice(count: u64, what: &str, entry: u64) -> String {
+    format!(
+        "the file has {count} {what}: this is number {}; another can be chosen",
+        entry + 1
+    )
+}

@@ -1,0 +1,703 @@
+//! TIFF stacks: pages are slices; OME-TIFF and ImageJ say what else they are.
+//!
+//! Of several channels and times one is read. Pages are decoded by the `tiff` crate; what stands
+//! in `ImageDescription` is understood here. Rows go down in an image: index j is y all the same.
+
+mod description;
+
+use std::io::{self, BufReader, Read};
+use std::path::PathBuf;
+use std::sync::Mutex;
+
+use bytemuck::Pod;
+use half::f16;
+use tiff::decoder::{Decoder, Limits};
+use tiff::tags::{SampleFormat, Tag};
+use tiff::{ColorType, TiffError};
+
+use super::decode::{self, Decoded, Layout};
+use super::options::{Content, chosen};
+use super::placement::{METRES_PER_MM, checked_spacing};
+use super::source::{Source, SourceCursor};
+use super::{Input, NumberType, Progress, ReadOptions, VolumeReader, limits, parallel};
+use crate::{Geometry, SourceFormat, Volume, VolumeError, Voxels};
+use description::Description;
+
+/// Unpacked files beyond this are refused.
+const PACKED_MAX: u64 = 4 << 30;
+
+/// More pages than this are damage.
+const PAGES_MAX: usize = 1 << 20;
+
+/// Largest page, and largest packed strip or tile.
+const PAGE_BYTES_MAX: usize = 4 << 30;
+const CHUNK_BYTES_MAX: usize = 1 << 30;
+
+/// Descriptions with the places of a million planes are this long.
+const TAG_BYTES_MAX: usize = 64 << 20;
+
+/// Small parts keep all cores busy to the end.
+const PARTS_PER_CORE: usize = 4;
+
+type PageDecoder<'a> = Decoder<BufReader<SourceCursor<'a>>>;
+
+/// Reads TIFF.
+#[derive(Clone, Copy, Debug)]
+pub struct TiffReader;
+
+impl VolumeReader for TiffReader {
+    fn name(&self) -> &'static str {
+        "TIFF"
+    }
+
+    fn extensions(&self) -> &'static [&'static str] {
+        &[".tif", ".tiff"]
+    }
+
+    fn recognises(&self, first_bytes: &[u8]) -> bool {
+        [b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"]
+            .iter()
+            .any(|magic| first_bytes.starts_with(*magic))
+    }
+
+    fn read(
+        &self,
+        input: Input<'_>,
+        options: &ReadOptions,
+        progress: &mut dyn FnMut(Progress),
+    ) -> Result<Volume, VolumeError> {
+        Stack::open(input)?.read(options, progress)
+    }
+
+    fn contents(
+        &self,
+        input: Input<'_>,
+        _options: &ReadOptions,
+    ) -> Result<Vec<Content>, VolumeError> {
+        let contents = Stack::open(input)?.contents();
+        Ok(if contents.len() > 1 {
+            contents
+        } else {
+            Vec::new()
+        })
+    }
+}
+
+/// The layout that the pages of a stack share.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Page {
+    width: u32,
+    height: u32,
+    samples: u16,
+    bits: u8,
+    number: PageNumber,
+    planar: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum PageNumber {
+    Plain(NumberType),
+    Half,
+}
+
+impl PageNumber {
+    fn bytes(self) -> usize {
+        match self {
+            Self::Plain(number) => number.bytes(),
+            Self::Half => 2,
+        }
+    }
+}
+
+impl Page {
+    fn len(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+
+    /// Bytes of a page with all its samples.
+    fn stored_bytes(&self) -> usize {
+        let samples = if self.planar { 1 } else { self.samples.into() };
+        self.len()
+            .saturating_mul(self.number.bytes())
+            .saturating_mul(samples)
+    }
+}
+
+struct Stack<'a> {
+    path: PathBuf,
+    source: Source<'a>,
+    page: Page,
+    description: Description,
+    /// Pages of the stack's layout, by their numbers in the file.
+    pages: Vec<usize>,
+    /// ImageJ's: where the planes lie, one after the other.
+    planes_at: Option<u64>,
+    big_endian: bool,
+    spacing: [Option<f64>; 3],
+    notices: Vec<String>,
+}
+
+fn tiff_error(path: &std::path::Path, error: TiffError) -> VolumeError {
+    match error {
+        TiffError::IoError(source) => VolumeError::decoding(path, source),
+        TiffError::UnsupportedError(what) => VolumeError::Unsupported {
+            path: path.into(),
+            what: what.to_string(),
+            way_out: "save it as 8, 16 or 32 bits per sample, uncompressed or with deflate or LZW"
+                .into(),
+        },
+        other => VolumeError::Field {
+            path: path.into(),
+            format: "TIFF",
+            field: "a page".into(),
+            found: format!("damaged ({other})"),
+            expected: "a readable image; get a good copy of the file".into(),
+        },
+    }
+}
+
+fn decoder<'a>(source: &Source<'a>) -> Result<PageDecoder<'a>, TiffError> {
+    let mut limits = Limits::default();
+    limits.decoding_buffer_size = PAGE_BYTES_MAX;
+    limits.intermediate_buffer_size = CHUNK_BYTES_MAX;
+    limits.ifd_value_size = TAG_BYTES_MAX.min(source.length() as usize);
+    let reader = BufReader::with_capacity(64 << 10, source.cursor(0));
+    Ok(Decoder::new(reader)?.with_limits(limits))
+}
+
+impl<'a> Stack<'a> {
+    fn open(input: Input<'a>) -> Result<Self, VolumeError> {
+        let path = input.path().to_path_buf();
+        let source = input.into_source(PACKED_MAX)?;
+        let error = |error| tiff_error(&path, error);
+        let mut decoder = decoder(&source).map_err(error)?;
+        let page = page(&mut decoder, &path)?;
+        let text = decoder
+            .find_tag(Tag::ImageDescription)
+            .ok()
+            .flatten()
+            .and_then(|value| value.into_string().ok());
+        let resolution = [Tag::XResolution, Tag::YResolution].map(|tag| {
+            let value = decoder.find_tag(tag).ok().flatten()?;
+            match value {
+                tiff::decoder::ifd::Value::Rational(n, d) if n > 0 && d > 0 => {
+                    Some(f64::from(n) / f64::from(d))
+                }
+                _ => None,
+            }
+        });
+        let first_strip: Option<u64> = decoder
+            .find_tag_unsigned_vec(Tag::StripOffsets)
+            .ok()
+            .flatten()
+            .and_then(|offsets| offsets.first().copied());
+        let is_packed: Option<u16> = decoder.find_tag_unsigned(Tag::Compression).ok().flatten();
+        let big_endian = decoder.byte_order() == tiff::tags::ByteOrder::BigEndian;
+
+        let mut pages = vec![0];
+        let mut others = 0;
+        let mut number = 0;
+        while decoder.more_images() && number < PAGES_MAX {
+            decoder.next_image().map_err(error)?;
+            number += 1;
+            let is_reduced = decoder
+                .find_tag_unsigned::<u32>(Tag::NewSubfileType)
+                .ok()
+                .flatten()
+                .is_some_and(|kind| kind & 1 == 1);
+            match self::page(&mut decoder, &path) {
+                Ok(other) if other == page && !is_reduced => pages.push(number),
+                _ => others += 1,
+            }
+        }
+        drop(decoder);
+        let mut notices = Vec::new();
+        if others > 0 {
+            notices.push(format!(
+                "{others} pages of another size or type (thumbnails, say) are left out"
+            ));
+        }
+        let parsed = text.as_deref().and_then(Description::parse);
+        let mut planes_at = None;
+        let mut description = match parsed {
+            Some(description) => {
+                let planes = description.planes();
+                if description.is_imagej
+                    && pages.len() == 1
+                    && planes.is_some_and(|planes| planes > 1)
+                    && is_packed.is_none_or(|kind| kind == 1)
+                {
+                    planes_at = first_strip;
+                }
+                if planes_at.is_none() && planes != Some(pages.len()) {
+                    notices.push(format!(
+                        "the description counts {} planes, the file has {} pages: taken as slices",
+                        planes.unwrap_or(usize::MAX),
+                        pages.len()
+                    ));
+                    Description {
+                        spacing: description.spacing,
+                        is_imagej: description.is_imagej,
+                        ..Description::plain(pages.len())
+                    }
+                } else {
+                    description
+                }
+            }
+            None => Description::plain(pages.len()),
+        };
+        if let Some(other) = description.elsewhere.take() {
+            return Err(VolumeError::Unsupported {
+                path,
+                what: format!("its planes lie in several files ({other:?}, …)"),
+                way_out: "save it as a single OME-TIFF".into(),
+            });
+        }
+        let mut spacing = description.spacing;
+        if description.is_imagej {
+            for (length, resolution) in spacing.iter_mut().zip(resolution) {
+                *length = (*length)
+                    .zip(resolution)
+                    .map(|(unit, per_unit)| unit / per_unit);
+            }
+        }
+        Ok(Self {
+            path,
+            source,
+            page,
+            description,
+            pages,
+            planes_at,
+            big_endian,
+            spacing,
+            notices,
+        })
+    }
+
+    /// Channels of the description times samples of a pixel, and times.
+    fn contents(&self) -> Vec<Content> {
+        let description = &self.description;
+        let samples = usize::from(self.page.samples);
+        let mut contents = Vec::new();
+        for time in 0..description.times {
+            for channel in 0..description.channels * samples {
+                let name = description.channel_names.get(channel / samples);
+                let mut what = format!("channel {}", channel + 1);
+                if description.times > 1 {
+                    what.push_str(&format!(", time {}", time + 1));
+                }
+                contents.push(Content {
+                    name: if description.times == 1 && samples == 1 {
+                        name.cloned().unwrap_or_default()
+                    } else {
+                        String::new()
+                    },
+                    description: what,
+                    ..Content::default()
+                });
+                if contents.len() >= PAGES_MAX {
+                    return contents;
+                }
+            }
+        }
+        contents
+    }
+
+    fn read(
+        mut self,
+        options: &ReadOptions,
+        progress: &mut dyn FnMut(Progress),
+    ) -> Result<Volume, VolumeError> {
+        let contents = self.contents();
+        let index = match &options.choice {
+            None => 0,
+            Some(choice) => chosen(choice, &contents).ok_or_else(|| VolumeError::NoSuchChoice {
+                path: self.path.clone(),
+                choice: choice.clone(),
+                contents: contents.clone(),
+            })?,
+        };
+        let samples = usize::from(self.page.samples);
+        let per_time = self.description.channels * samples;
+        let (time, channel) = (index / per_time, index % per_time);
+        let (channel, sample) = (channel / samples, channel % samples);
+        let slices: Vec<usize> = (0..self.description.slices)
+            .map(|slice| self.description.page(slice, channel, time))
+            .collect();
+        let dims = [
+            self.page.width,
+            self.page.height,
+            u32::try_from(slices.len()).unwrap_or(u32::MAX),
+        ];
+        let bytes = (self.page.len() as u64)
+            .checked_mul(slices.len() as u64)
+            .and_then(|count| count.checked_mul(self.page.number.bytes() as u64));
+        limits::check_voxel_bytes(&self.path, bytes, options)?;
+        if contents.len() > 1 {
+            self.notices.push(format!(
+                "the file has {} channels and times: this is number {}; another can be chosen",
+                contents.len(),
+                index + 1
+            ));
+        }
+        let reading = Reading {
+            stack: &self,
+            sample,
+            options,
+        };
+        let (voxels, rounded) = match (self.planes_at, self.page.number) {
+            (None, PageNumber::Plain(NumberType::U8)) => {
+                (Voxels::U8(reading.parallel(&slices, progress)?), false)
+            }
+            (None, PageNumber::Plain(NumberType::I8)) => {
+                (Voxels::I8(reading.parallel(&slices, progress)?), false)
+            }
+            (None, PageNumber::Plain(NumberType::U16)) => {
+                (Voxels::U16(reading.parallel(&slices, progress)?), false)
+            }
+            (None, PageNumber::Plain(NumberType::I16)) => {
+                (Voxels::I16(reading.parallel(&slices, progress)?), false)
+            }
+            _ => {
+                let decoded = reading.in_order(&slices, dims, progress)?;
+                self.notices.extend(decoded.notices);
+                (decoded.voxels, decoded.rounded)
+            }
+        };
+        let geometry = self.geometry();
+        let volume = Volume::new(voxels, dims, 1.0, 0.0, geometry)?
+            .with_rounded(rounded)
+            .with_source_format(SourceFormat {
+                name: "TIFF",
+                numbers: match self.page.number {
+                    PageNumber::Plain(number) => number.name(),
+                    PageNumber::Half => "f16",
+                },
+            });
+        Ok(self.notices.into_iter().fold(volume, Volume::with_notice))
+    }
+
+    fn geometry(&mut self) -> Geometry {
+        let [x, y, z] = self.spacing;
+        if x.is_none() && y.is_none() && z.is_none() {
+            self.notices
+                .push("the file gives no spacings: taken as 1 mm".into());
+            return Geometry::from_spacing([METRES_PER_MM; 3]);
+        }
+        // A stack without a depth has its pixels' width.
+        let missing = x.or(y).or(z).unwrap_or(f64::NAN);
+        if z.is_none() && self.description.slices > 1 {
+            self.notices
+                .push("the file gives no distance of slices: taken as the pixels' width".into());
+        }
+        let lengths = [x, y, z].map(|length| length.unwrap_or(missing));
+        Geometry::from_spacing(checked_spacing(
+            lengths,
+            1.0,
+            "spacing (m)",
+            &mut self.notices,
+        ))
+    }
+}
+
+/// The layout of the page that a decoder stands at.
+fn page(decoder: &mut PageDecoder<'_>, path: &std::path::Path) -> Result<Page, VolumeError> {
+    let error = |error| tiff_error(path, error);
+    let unsupported = |what: String| VolumeError::Unsupported {
+        path: path.into(),
+        what,
+        way_out: "save it as 8, 16 or 32 bits per sample".into(),
+    };
+    let (width, height) = decoder.dimensions().map_err(error)?;
+    let color = decoder.colortype().map_err(error)?;
+    if matches!(color, ColorType::Palette(_)) {
+        return Err(unsupported(
+            "its pixels are numbers of colours in a palette".into(),
+        ));
+    }
+    let bits = color.bit_depth();
+    let samples: u16 = decoder
+        .find_tag_unsigned(Tag::SamplesPerPixel)
+        .map_err(error)?
+        .unwrap_or(1);
+    let format = decoder
+        .find_tag_unsigned_vec::<u16>(Tag::SampleFormat)
+        .map_err(error)?
+        .and_then(|formats| formats.first().copied())
+        .unwrap_or(1);
+    let planar: Option<u16> = decoder
+        .find_tag_unsigned(Tag::PlanarConfiguration)
+        .map_err(error)?;
+    let number = match (SampleFormat::from_u16_exhaustive(format), bits) {
+        (SampleFormat::Uint | SampleFormat::Void, 8) => PageNumber::Plain(NumberType::U8),
+        (SampleFormat::Uint | SampleFormat::Void, 16) => PageNumber::Plain(NumberType::U16),
+        (SampleFormat::Uint | SampleFormat::Void, 32) => PageNumber::Plain(NumberType::U32),
+        (SampleFormat::Uint | SampleFormat::Void, 64) => PageNumber::Plain(NumberType::U64),
+        (SampleFormat::Int, 8) => PageNumber::Plain(NumberType::I8),
+        (SampleFormat::Int, 16) => PageNumber::Plain(NumberType::I16),
+        (SampleFormat::Int, 32) => PageNumber::Plain(NumberType::I32),
+        (SampleFormat::Int, 64) => PageNumber::Plain(NumberType::I64),
+        (SampleFormat::IEEEFP, 16) => PageNumber::Half,
+        (SampleFormat::IEEEFP, 32) => PageNumber::Plain(NumberType::F32),
+        (SampleFormat::IEEEFP, 64) => PageNumber::Plain(NumberType::F64),
+        (_, bits) => {
+            return Err(unsupported(format!(
+                "its samples have {bits} bits and format {format}"
+            )));
+        }
+    };
+    if samples == 0 || width == 0 || height == 0 {
+        return Err(unsupported("a page without pixels".into()));
+    }
+    Ok(Page {
+        width,
+        height,
+        samples,
+        bits,
+        number,
+        planar: planar == Some(2) && samples > 1,
+    })
+}
+
+struct Reading<'s, 'a> {
+    stack: &'s Stack<'a>,
+    sample: usize,
+    options: &'s ReadOptions,
+}
+
+impl Reading<'_, '_> {
+    fn cancelled(&self) -> VolumeError {
+        VolumeError::Cancelled {
+            path: self.stack.path.clone(),
+        }
+    }
+
+    /// Decodes pages straight into the volume, by all cores.
+    fn parallel<T: Pod + Send>(
+        &self,
+        slices: &[usize],
+        progress: &mut dyn FnMut(Progress),
+    ) -> Result<Vec<T>, VolumeError> {
+        let length = self.stack.page.len() * slices.len();
+        let mut voxels = bytemuck::allocation::try_zeroed_slice_box::<T>(length)
+            .map_err(|()| VolumeError::TooLarge {
+                path: self.stack.path.clone(),
+                bytes: (length * size_of::<T>()) as u64,
+                limit: "the memory that is free".into(),
+            })?
+            .into_vec();
+        let mut work: Vec<(usize, &mut [T])> = slices
+            .iter()
+            .copied()
+            .zip(voxels.chunks_exact_mut(self.stack.page.len()))
+            .collect();
+        work.sort_by_key(|(page, _)| *page);
+        let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
+        let part = work.len().div_ceil(cores * PARTS_PER_CORE).max(1);
+        let mut parts: Vec<Vec<(usize, &mut [T])>> = Vec::new();
+        for item in work {
+            match parts.last_mut() {
+                Some(last) if last.len() < part => last.push(item),
+                _ => parts.push(vec![item]),
+            }
+        }
+        let total_bytes = (length * size_of::<T>()) as u64;
+        let mut bytes = 0;
+        let spare = Mutex::new(Vec::new());
+        parallel::for_each(
+            parts.into_iter(),
+            |part| {
+                let lock = || spare.lock().unwrap_or_else(|error| error.into_inner());
+                let taken = lock().pop();
+                let mut buffer: Vec<u8> = taken.unwrap_or_default();
+                let mut pages = Pages::new(self.stack)?;
+                let mut done = 0;
+                for (page, chunk) in part {
+                    if self.options.cancel.is_cancelled() {
+                        return Err(self.cancelled());
+                    }
+                    let chunk: &mut [u8] = bytemuck::cast_slice_mut(chunk);
+                    done += chunk.len() as u64;
+                    pages.read(page, self.sample, chunk, &mut buffer)?;
+                }
+                lock().push(buffer);
+                Ok(done)
+            },
+            |done| {
+                bytes += done;
+                progress(Progress { bytes, total_bytes });
+                Ok(())
+            },
+        )?;
+        Ok(voxels)
+    }
+
+    /// Decodes one page after the other, into the smallest type that holds all.
+    fn in_order(
+        &self,
+        slices: &[usize],
+        dims: [u32; 3],
+        progress: &mut dyn FnMut(Progress),
+    ) -> Result<Decoded, VolumeError> {
+        let page = self.stack.page;
+        let (number, is_half) = match page.number {
+            PageNumber::Plain(number) => (number, false),
+            PageNumber::Half => (NumberType::F32, true),
+        };
+        let bytes = page.len() as u64 * slices.len() as u64 * number.bytes() as u64;
+        let layout = Layout {
+            number,
+            big_endian: match self.stack.planes_at {
+                Some(_) if !is_half => self.stack.big_endian,
+                _ => cfg!(target_endian = "big"),
+            },
+            dims,
+        };
+        let pages = PagesInOrder {
+            pages: match self.stack.planes_at {
+                Some(_) => None,
+                None => Some(Pages::new(self.stack)?),
+            },
+            stack: self.stack,
+            slices: slices.iter(),
+            sample: self.sample,
+            current: Vec::new(),
+            at: 0,
+            buffer: Vec::new(),
+        };
+        let mut input = Input::from_reader(&self.stack.path, pages, bytes);
+        decode::read_voxels(&mut input, &layout, self.options, progress)
+    }
+}
+
+/// Pages of a file, best read in ascending order.
+struct Pages<'s, 'a> {
+    stack: &'s Stack<'a>,
+    decoder: PageDecoder<'a>,
+    /// The page that the decoder stands at.
+    at: usize,
+}
+
+impl<'s, 'a> Pages<'s, 'a> {
+    fn new(stack: &'s Stack<'a>) -> Result<Self, VolumeError> {
+        Ok(Self {
+            decoder: decoder(&stack.source).map_err(|error| tiff_error(&stack.path, error))?,
+            stack,
+            at: 0,
+        })
+    }
+
+    /// Fills `out` with one sample of each pixel of the `page`-th page of the stack.
+    fn read(
+        &mut self,
+        page: usize,
+        sample: usize,
+        out: &mut [u8],
+        buffer: &mut Vec<u8>,
+    ) -> Result<(), VolumeError> {
+        let error = |error| tiff_error(&self.stack.path, error);
+        let Some(&page) = self.stack.pages.get(page) else {
+            return Err(VolumeError::Field {
+                path: self.stack.path.clone(),
+                format: "TIFF",
+                field: "ImageDescription".into(),
+                found: format!("a plane on page {}", page + 1),
+                expected: format!("at most {} pages", self.stack.pages.len()),
+            });
+        };
+        if page < self.at {
+            *self = Self::new(self.stack)?;
+        }
+        while self.at < page {
+            self.decoder.next_image().map_err(error)?;
+            self.at += 1;
+        }
+        let layout = self.stack.page;
+        if layout.samples == 1 {
+            return self.decoder.read_image_bytes(out).map_err(error);
+        }
+        if layout.planar {
+            // All planes, of which one is kept: the crate reads them from the first on.
+            buffer.resize(out.len() * (sample + 1), 0);
+            self.decoder.read_image_bytes(buffer).map_err(error)?;
+            let plane = buffer.chunks_exact(out.len()).nth(sample);
+            if let Some(plane) = plane {
+                out.copy_from_slice(plane);
+            }
+            return Ok(());
+        }
+        buffer.resize(layout.stored_bytes(), 0);
+        self.decoder.read_image_bytes(buffer).map_err(error)?;
+        let width = layout.number.bytes();
+        let pixels = buffer.chunks_exact(width * usize::from(layout.samples));
+        for (to, pixel) in out.chunks_exact_mut(width).zip(pixels) {
+            if let Some(from) = pixel.chunks_exact(width).nth(sample) {
+                to.copy_from_slice(from);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The bytes of pages, one after the other.
+struct PagesInOrder<'s, 'a> {
+    /// `None` where the planes lie one after the other anyway.
+    pages: Option<Pages<'s, 'a>>,
+    stack: &'s Stack<'a>,
+    slices: std::slice::Iter<'s, usize>,
+    sample: usize,
+    current: Vec<u8>,
+    at: usize,
+    buffer: Vec<u8>,
+}
+
+impl PagesInOrder<'_, '_> {
+    /// The next page as numbers; false at the end.
+    fn next(&mut self) -> io::Result<bool> {
+        let Some(&slice) = self.slices.next() else {
+            return Ok(false);
+        };
+        let page = self.stack.page;
+        self.at = 0;
+        self.current.resize(page.len() * page.number.bytes(), 0);
+        match &mut self.pages {
+            Some(pages) => pages
+                .read(slice, self.sample, &mut self.current, &mut self.buffer)
+                .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.to_string()))?,
+            None => {
+                let offset = self.stack.planes_at.unwrap_or(0);
+                let at = offset.saturating_add(slice as u64 * self.current.len() as u64);
+                let count = self.stack.source.read_at(at, &mut self.current)?;
+                if count < self.current.len() {
+                    return Err(io::ErrorKind::UnexpectedEof.into());
+                }
+            }
+        }
+        if page.number == PageNumber::Half {
+            let swap = self.pages.is_none() && self.stack.big_endian != cfg!(target_endian = "big");
+            let halves = self.current.as_chunks::<2>().0.iter();
+            self.current = halves
+                .flat_map(|&[a, b]| {
+                    let bytes = if swap { [b, a] } else { [a, b] };
+                    f16::from_ne_bytes(bytes).to_f32().to_ne_bytes()
+                })
+                .collect();
+        }
+        Ok(true)
+    }
+}
+
+impl Read for PagesInOrder<'_, '_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if self.at == self.current.len() && !self.next()? {
+            return Ok(0);
+        }
+        let rest = self.current.get(self.at..).unwrap_or_default();
+        let count = rest.len().min(buffer.len());
+        if let (Some(to), Some(from)) = (buffer.get_mut(..count), rest.get(..count)) {
+            to.copy_from_slice(from);
+        }
+        self.at += count;
+        Ok(count)
+    }
+}
