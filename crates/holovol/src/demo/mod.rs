@@ -88,6 +88,7 @@ fn scene(size: u32) -> SceneFile {
         version: SceneFile::VERSION,
         volume: VolumeEntry {
             path: "phantom".into(),
+            choice: None,
             window: Some([0.0, 1.0]),
             world_from_unit_cube: None,
         },
