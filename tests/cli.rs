@@ -565,3 +565,53 @@ fn pictures_that_can_not_be_compared_are_refused() {
     bench.write("cut.exr", &whole[..whole.len() / 2]);
     refuses(&bench, &["compare", "out.exr", "cut.exr"], 3, &["cut.exr"]);
 }
+
+fn phantom(name: &str) -> String {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../holovol_volume/tests/phantoms/formats");
+    folder.join(name).to_string_lossy().into_owned()
+}
+
+#[test]
+fn info_lists_what_can_be_chosen() {
+    let bench = Bench::new();
+    let several = phantom("several.vdb");
+    let line = bench.json(&["info", &several, "--json"]);
+    assert_eq!(line["contents"][1]["name"], "marked");
+    assert_eq!(line["contents"][1]["number"], 2);
+    let line = bench.json(&["info", &several, "--json", "--choice", "2"]);
+    assert_eq!(line["range"], json!([7.0, 103.0]));
+    let line = bench.json(&["info", &phantom("dicom_explicit"), "--json"]);
+    assert_eq!(line["dims"], json!([5, 4, 3]));
+}
+
+#[test]
+fn convert_is_exact_or_refuses() {
+    let bench = Bench::new();
+    let source = phantom("dicom_tilted");
+    let before = bench.json(&["info", &source, "--json"]);
+    for out in ["out.nrrd", "out.nii", "out.nii.gz", "out.raw"] {
+        let output = bench.run(&["convert", &source, out]);
+        assert!(output.status.success(), "{output:?}");
+        let after = bench.json(&["info", out, "--json"]);
+        for field in ["dims", "range", "mean", "orientation", "percentiles"] {
+            assert_eq!(before[field], after[field], "{out}: {field}");
+        }
+    }
+    let there = names(&bench);
+    assert!(there.contains(&"out.raw.json".to_owned()));
+    assert!(
+        !there.iter().any(|name| name.starts_with("part.")),
+        "{there:?}"
+    );
+    for (out, part) in [("out.jpg", ".nrrd, .nii"), ("no/out.nii", "no")] {
+        let output = bench.run(&["convert", &source, out]);
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(4), "{text}");
+        assert!(text.contains(part), "{text}");
+    }
+    let free = bench.run(&["convert", &phantom("float.vdb"), "free.nii"]);
+    assert_eq!(free.status.code(), Some(4));
+    let text = String::from_utf8_lossy(&free.stderr).into_owned();
+    assert!(text.contains("free.nii: the format can't hold"), "{text}");
+}

@@ -31,7 +31,9 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<(), Failure> {
         // Nothing more can be done about leftovers that can't be removed either.
         let _ = std::fs::remove_file(&part);
         let _ = std::fs::remove_file(RawLayout::sidecar_path(&part));
-        Failure::new(Exit::Output, problem)
+        // Its user knows the file by the name that it was to have.
+        let (part, out) = (part.display().to_string(), args.out.display().to_string());
+        Failure::new(Exit::Output, problem.replace(&part, &out))
     })
 }
 

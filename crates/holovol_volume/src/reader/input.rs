@@ -94,20 +94,6 @@ impl<'a> Input<'a> {
         }
     }
 
-    /// Like [`Input::from_bytes`], for bytes that nobody else keeps.
-    pub(super) fn from_owned(name: &Path, bytes: Vec<u8>) -> Self {
-        let bytes = Arc::new(bytes);
-        Self {
-            path: name.into(),
-            at_most: Some(bytes.len() as u64),
-            is_exact: true,
-            has_siblings: false,
-            stream: Box::new(Source::Owned(bytes.clone()).into_buffered(BUFFER_BYTES)),
-            source: Some(Source::Owned(bytes)),
-            stamp: None,
-        }
-    }
-
     /// What a reader makes of a file, `at_most` bytes.
     pub(super) fn from_reader(name: &Path, reader: impl Read + 'a, at_most: u64) -> Self {
         Self {

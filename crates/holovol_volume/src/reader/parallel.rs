@@ -13,6 +13,13 @@ pub(super) fn for_each<I: Send, T: Send, E: Send>(
     work: impl Fn(I) -> Result<T, E> + Sync,
     mut done: impl FnMut(T) -> Result<(), E>,
 ) -> Result<(), E> {
+    // A single piece needs no threads.
+    if items.size_hint().1.is_some_and(|most| most <= 1) {
+        for item in items {
+            done(work(item)?)?;
+        }
+        return Ok(());
+    }
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
     let items = Mutex::new(items);
     let stop = AtomicBool::new(false);

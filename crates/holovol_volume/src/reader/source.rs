@@ -1,7 +1,7 @@
 //! Bytes that can be read from any place, by several threads at once.
 
 use std::fs::File;
-use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::io::{self, Read, Seek, SeekFrom};
 use std::sync::Arc;
 
 /// An open file or bytes in memory.
@@ -45,10 +45,6 @@ impl<'a> Source<'a> {
         let count = self.read_at(offset, &mut bytes)?;
         bytes.truncate(count);
         Ok(bytes)
-    }
-
-    pub fn into_buffered(self, buffer_bytes: usize) -> BufReader<SourceCursor<'a>> {
-        BufReader::with_capacity(buffer_bytes, self.cursor(0))
     }
 
     pub fn cursor(&self, at: u64) -> SourceCursor<'a> {

@@ -1,12 +1,15 @@
 //! ZIP archives: of a DICOM folder, or of a single volume file.
 
-use std::io::{self, Read};
+use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use flate2::bufread::DeflateDecoder;
+use zip::CompressionMethod;
 use zip::read::ZipArchive;
 
 use super::dicom::{self, Files, OpenFile};
+use super::input::DEFLATE_RATIO_MAX;
 use super::options::Content;
 use super::source::{Source, SourceCursor};
 use super::{Input, Progress, ReadOptions, VolumeReader, readers};
@@ -47,7 +50,7 @@ impl VolumeReader for ZipReader {
         let files = ZipFiles::open(input)?;
         match files.volume_file() {
             Some(index) => {
-                let member = files.member(index, options)?;
+                let member = files.member(index)?;
                 super::read(member, options, progress)
             }
             None => dicom::read_files(&files, &files.path, options, progress),
@@ -62,7 +65,7 @@ impl VolumeReader for ZipReader {
         let files = ZipFiles::open(input)?;
         match files.volume_file() {
             Some(index) => {
-                let (reader, member) = super::find_reader(files.member(index, options)?)?;
+                let (reader, member) = super::find_reader(files.member(index)?)?;
                 reader.contents(member, options)
             }
             None => dicom::list_files(&files, &files.path, options),
@@ -73,6 +76,7 @@ impl VolumeReader for ZipReader {
 /// The members of an archive.
 struct ZipFiles<'a> {
     path: PathBuf,
+    source: Source<'a>,
     archive: ZipArchive<SourceCursor<'a>>,
     /// Name and unpacked bytes of each member that is a file.
     members: Vec<(usize, String, u64)>,
@@ -104,6 +108,7 @@ impl<'a> ZipFiles<'a> {
         }
         Ok(Self {
             path,
+            source,
             archive,
             members,
         })
@@ -156,11 +161,28 @@ impl<'a> ZipFiles<'a> {
         Ok(bytes)
     }
 
-    fn member(&self, index: usize, options: &ReadOptions) -> Result<Input<'static>, VolumeError> {
+    /// A member that is unpacked as it is read.
+    fn member(&self, index: usize) -> Result<Input<'a>, VolumeError> {
         let name = self.name(index);
-        let size = self.members.get(index).map_or(0, |(_, _, size)| *size);
-        super::limits::check_voxel_bytes(&name, Some(size), options)?;
-        Ok(Input::from_owned(&name, self.unpacked(index, u64::MAX)?))
+        let missing = || VolumeError::io(&name, io::ErrorKind::NotFound.into());
+        let &(member, _, size) = self.members.get(index).ok_or_else(missing)?;
+        let mut archive = self.archive.clone();
+        let damaged = |error: zip::result::ZipError| VolumeError::Damaged {
+            path: name.clone(),
+            source: io::Error::other(error),
+        };
+        let file = archive.by_index(member).map_err(damaged)?;
+        let start = file.data_start().ok_or_else(missing)?;
+        let packed = file.compressed_size();
+        let method = file.compression();
+        drop(file);
+        let bytes = BufReader::new(self.source.cursor(start)).take(packed);
+        Ok(if method == CompressionMethod::Stored {
+            Input::from_reader(&name, bytes, size.min(packed))
+        } else {
+            let at_most = size.min(packed.saturating_mul(DEFLATE_RATIO_MAX));
+            Input::from_reader(&name, DeflateDecoder::new(bytes), at_most)
+        })
     }
 }
 

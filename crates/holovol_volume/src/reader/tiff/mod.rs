@@ -29,8 +29,10 @@ const PACKED_MAX: u64 = 4 << 30;
 /// More pages than this are damage.
 const PAGES_MAX: usize = 1 << 20;
 
-/// Largest page, and largest packed strip or tile.
-const PAGE_BYTES_MAX: usize = 4 << 30;
+/// Room for the tables of the smallest files.
+const TABLE_BYTES_MIN: usize = 64 << 10;
+
+/// Largest packed strip or tile.
 const CHUNK_BYTES_MAX: usize = 1 << 30;
 
 /// Descriptions with the places of a million planes are this long.
@@ -158,7 +160,11 @@ fn tiff_error(path: &std::path::Path, error: TiffError) -> VolumeError {
 
 fn decoder<'a>(source: &Source<'a>) -> Result<PageDecoder<'a>, TiffError> {
     let mut limits = Limits::default();
-    limits.decoding_buffer_size = PAGE_BYTES_MAX;
+    // Pages are decoded into our own memory; the crate's is for tables, an entry of which takes 32
+    // bytes there and 4 in the file.
+    limits.decoding_buffer_size = (source.length() as usize)
+        .saturating_mul(8)
+        .saturating_add(TABLE_BYTES_MIN);
     limits.intermediate_buffer_size = CHUNK_BYTES_MAX;
     limits.ifd_value_size = TAG_BYTES_MAX.min(source.length() as usize);
     let reader = BufReader::with_capacity(64 << 10, source.cursor(0));
