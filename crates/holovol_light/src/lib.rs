@@ -4,7 +4,12 @@
 //! an [`EnvironmentSampler`] draws directions in exact proportion to its interpolated importance.
 
 mod environment;
+pub mod estimate;
+pub mod evaluate;
+mod grid;
+pub mod measure;
 mod sampler;
 
 pub use environment::{EnvironmentMap, LightError, luminance};
+pub use grid::Grid;
 pub use sampler::{AliasEntry, EnvironmentSampler, importance};
