@@ -12,6 +12,7 @@ mod compare;
 mod demo;
 mod failure;
 mod info;
+mod light;
 mod output;
 mod picture;
 mod progress;
@@ -49,6 +50,9 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
         Command::Compare(args) => compare::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Demo(args) => demo::run(&args),
+        Command::Light(args) => light::run(&args),
+        Command::Stitch(args) => light::stitch::run(&args),
+        Command::Calibrate(args) => light::stitch::calibrate(&args),
         Command::Bench(command) => bench::run(&command),
         Command::Completions { shell } => {
             let mut script = Vec::new();

@@ -5,7 +5,8 @@ use rayon::prelude::*;
 
 use crate::estimate::{Estimator, Evidence, Exposure, Meter, Observation, Prior, ProbeSample};
 use crate::measure::{FluxCells, LightError512, Truth, normals};
-use crate::{EnvironmentMap, luminance};
+use crate::response::{linear_to_srgb, srgb_to_linear};
+use crate::{EnvironmentMap, Grid, luminance};
 
 /// Shares of the picture that the base exposure clips.
 pub const CLIPPED_SHARES: [f64; 3] = [0.005, 0.02, 0.08];
@@ -70,7 +71,14 @@ pub struct Case {
     /// True radiance; the base exposure clips at 1.
     pub map: EnvironmentMap,
     truth: Truth,
+    /// Luminous flux of the truth.
+    flux: f64,
+    /// 8-bit sRGB pictures of [`EXPOSURES`].
+    pictures: Vec<Vec<[u8; 3]>>,
 }
+
+/// All exposures that any rung uses, EV.
+const EXPOSURES: [f64; 4] = [0.0, -4.0, -6.0, -8.0];
 
 impl Case {
     /// Turns a panorama by whole texels, `rotation` of [`ROTATIONS`], and scales it so that `share`
@@ -94,25 +102,49 @@ impl Case {
             .collect();
         let map = EnvironmentMap::new(width, height, texels);
         let truth = Truth::new(&FluxCells::new(&map));
+        let pictures = EXPOSURES.map(|ev| picture(&map, ev)).to_vec();
         Self {
             panorama,
             share,
+            flux: crate::measure::luminous_flux(&Grid::new(width, height), map.texels()),
             map,
             truth,
+            pictures,
         }
     }
 
     /// The 8-bit sRGB picture of an exposure, linearised again.
-    pub fn exposure(&self, ev: f64) -> Vec<[f32; 3]> {
-        let scale = ev.exp2() as f32;
-        let decode: Vec<f32> = (0..256).map(|z| srgb_to_linear(z as f32 / 255.0)).collect();
-        let code = |l: f32| decode[(linear_to_srgb((l * scale).min(1.0)) * 255.0).round() as usize];
-        self.map.texels().iter().map(|texel| texel.map(code)).collect()
+    fn exposure(&self, ev: f64) -> Vec<[f32; 3]> {
+        let decode: Vec<f32> = (0..256)
+            .map(|z| srgb_to_linear(f64::from(z) / 255.0) as f32)
+            .collect();
+        let index = EXPOSURES.iter().position(|&e| e == ev);
+        let picture = &self.pictures[index.expect("an exposure that is prepared")];
+        let linear = |texel: &[u8; 3]| texel.map(|code| decode[usize::from(code)]);
+        picture.iter().map(linear).collect()
     }
 
     /// How far a map is from the truth.
     pub fn error(&self, cells: &FluxCells) -> LightError512 {
         self.truth.error(cells)
+    }
+
+    /// What the exposures of a rung say without any extension: clipped light stays clipped.
+    pub fn plain_merge(&self, given: Given) -> Vec<[f32; 3]> {
+        let mut out = self.exposure(0.0);
+        for &ev in &given.exposures()[1..] {
+            let (dark, level) = (self.exposure(ev), (-ev).exp2() as f32);
+            for (texel, dark) in out.iter_mut().zip(dark) {
+                for c in 0..3 {
+                    texel[c] = if texel[c] >= 0.95 {
+                        texel[c].max(dark[c] * level)
+                    } else {
+                        texel[c]
+                    };
+                }
+            }
+        }
+        out
     }
 
     /// Estimates with what is given; random noise of meter and probe is the case's own.
@@ -160,11 +192,25 @@ impl Case {
 
     fn seed(&self) -> u64 {
         let texels = self.map.texels();
-        let bits = texels.iter().step_by(997).map(|t| u64::from(t[1].to_bits()));
+        let bits = texels
+            .iter()
+            .step_by(997)
+            .map(|t| u64::from(t[1].to_bits()));
         bits.fold(0x9e37_79b9_7f4a_7c15, |hash, bits| {
             (hash ^ bits).wrapping_mul(0x0000_0100_0000_01b3)
         })
     }
+}
+
+/// The 8-bit sRGB picture of a map at an exposure.
+fn picture(map: &EnvironmentMap, ev: f64) -> Vec<[u8; 3]> {
+    // By table: the curve is smooth enough for 16 bits to hit the right code of 8.
+    let encode: Vec<u8> = (0..=u16::MAX)
+        .map(|i| (linear_to_srgb(f64::from(i) / 65535.0) * 255.0).round() as u8)
+        .collect();
+    let scale = ev.exp2() as f32;
+    let code = |l: f32| encode[((l * scale).min(1.0) * 65535.0).round() as usize];
+    map.texels().iter().map(|texel| texel.map(code)).collect()
 }
 
 /// The irradiance cells of an estimate, discs included.
@@ -176,30 +222,33 @@ pub fn cells_of(estimator: &Estimator) -> FluxCells {
     cells
 }
 
-/// Fits the prior to cases.
-pub fn fit(cases: &[&Case]) -> Prior {
-    let mut prior = Prior::default();
-    let observed: Vec<(usize, Vec<Observation>)> = cases
-        .par_iter()
-        .flat_map_iter(|case| {
-            let (width, height) = (case.map.width(), case.map.height());
-            let mut estimator = Estimator::new(width, height, prior);
-            [Given::Single, Given::Minus6, Given::Minus4Minus8]
-                .into_iter()
-                .map(|given| {
-                    case.estimate(&mut estimator, given);
-                    (case.panorama, estimator.observe(case.map.texels()))
-                })
-                .collect::<Vec<_>>()
+/// What the truth says about the lights of a case, at each set of exposures.
+pub fn observe(case: &Case) -> Vec<Observation> {
+    let (width, height) = (case.map.width(), case.map.height());
+    let mut estimator = Estimator::new(width, height, Prior::default());
+    [Given::Single, Given::Minus6, Given::Minus4Minus8]
+        .into_iter()
+        .flat_map(|given| {
+            case.estimate(&mut estimator, given);
+            estimator.observe(case.map.texels())
         })
+        .collect()
+}
+
+/// Fits the prior to cases and what was [`observe`]d of each.
+pub fn fit(cases: &[(&Case, &[Observation])]) -> Prior {
+    let mut prior = Prior::default();
+    let observed: Vec<(usize, &[Observation])> = cases
+        .iter()
+        .map(|(case, all)| (case.panorama, *all))
         .collect();
-    let panoramas = 1 + cases.iter().map(|case| case.panorama).max().unwrap_or(0);
+    let panoramas = 1 + observed.iter().map(|(p, _)| *p).max().unwrap_or(0);
 
     // Suns: a panorama is one observation however often it was exposed.
     let mut suns = Vec::new();
     for panorama in 0..panoramas {
         let of_it = observed.iter().filter(|(p, _)| *p == panorama);
-        let ratios = of_it.flat_map(|(_, all)| all).filter_map(|o| match o {
+        let ratios = of_it.flat_map(|(_, all)| *all).filter_map(|o| match o {
             Observation::Sun(ratio) => Some(*ratio),
             Observation::Region { .. } => None,
         });
@@ -210,41 +259,98 @@ pub fn fit(cases: &[&Case]) -> Prior {
     }
     if suns.len() >= 3 {
         prior.sun_over_sky = median(suns.clone());
-        let spread = suns.iter().map(|s| (s - prior.sun_over_sky).powi(2)).sum::<f64>();
-        prior.sun_sigma = (spread / suns.len() as f64).sqrt().max(0.3);
     }
 
-    // Regions: weighted least squares, each panorama with the same weight in all.
-    let mut points = Vec::new();
+    // Regions: weighted ridge regression, each panorama with the same weight in all. The typical
+    // region counts by how large it is, the spread by how much light it has.
+    let mut points: Vec<[f64; 4]> = Vec::new();
     for panorama in 0..panoramas {
         let of_it = observed.iter().filter(|(p, _)| *p == panorama);
-        let all: Vec<(f64, f64, f64)> = of_it
+        let all: Vec<[f64; 4]> = of_it
             .filter(|(_, all)| !all.iter().any(|o| matches!(o, Observation::Sun(_))))
-            .flat_map(|(_, all)| all)
+            .flat_map(|(_, all)| *all)
             .filter_map(|o| match *o {
-                Observation::Region { sharpness, gain, share } => Some((sharpness, gain, share)),
+                Observation::Region {
+                    sharpness,
+                    gain,
+                    core,
+                    flux,
+                } => Some([sharpness, gain, core, flux]),
                 Observation::Sun(_) => None,
             })
             .collect();
-        let total: f64 = all.iter().map(|p| p.2).sum();
-        points.extend(all.iter().map(|&(x, y, w)| (x, y, w / total.max(1e-9))));
+        let total = |i: usize| all.iter().map(|p| p[i]).sum::<f64>().max(1e-9);
+        let (core, flux) = (total(2), total(3));
+        points.extend(all.iter().map(|p| [p[0], p[1], p[2] / core, p[3] / flux]));
     }
-    let weight: f64 = points.iter().map(|p| p.2).sum();
-    if weight > 0.0 {
-        let mean = |f: &dyn Fn(&(f64, f64, f64)) -> f64| {
-            points.iter().map(|p| p.2 * f(p)).sum::<f64>() / weight
-        };
-        let (x, y) = (mean(&|p| p.0), mean(&|p| p.1));
-        let covariance = mean(&|p| (p.0 - x) * (p.1 - y));
-        // The ridge is worth one panorama whose sharpness varies by one.
-        let slope = covariance / (mean(&|p| (p.0 - x).powi(2)) + 1.0 / weight);
-        prior.gain_per_sharpness = slope.max(0.0);
+    let mean = |weight: usize, f: &dyn Fn(f64, f64) -> f64| {
+        let all: f64 = points.iter().map(|p| p[weight]).sum();
+        points
+            .iter()
+            .map(|p| p[weight] * f(p[0], p[1]))
+            .sum::<f64>()
+            / all
+    };
+    if !points.is_empty() {
+        let (x, y) = (mean(2, &|x, _| x), mean(2, &|_, y| y));
+        let covariance = mean(2, &|a, b| (a - x) * (b - y));
+        let variance = mean(2, &|a, _| (a - x).powi(2));
+        prior.gain_per_sharpness = covariance / (variance + RIDGE);
         prior.gain = y - prior.gain_per_sharpness * x;
-        let residual = mean(&|p| (p.1 - prior.gain_of(p.0)).powi(2));
+        let residual = mean(3, &|x, y| (y - prior.gain_of(x)).powi(2));
         prior.gain_sigma = residual.sqrt();
     }
-    prior.sigma_scale = 1.0;
+    prior.sigma_scale = calibrate(cases, prior);
     prior
+}
+
+/// Variance of sharpness that keeps a chance slope in check.
+const RIDGE: f64 = 0.2;
+/// Share of cases that ± 2σ should hold.
+const INSIDE: f64 = 0.98;
+
+/// What σ has to be scaled by, per rung, for ± 2σ to hold the truth as often as it should.
+fn calibrate(cases: &[(&Case, &[Observation])], mut prior: Prior) -> [f64; 5] {
+    prior.sigma_scale = [1.0; 5];
+    let misses: Vec<[(f64, usize); 6]> = cases
+        .par_iter()
+        .map(|(case, _)| {
+            let mut estimator = Estimator::new(case.map.width(), case.map.height(), prior);
+            Given::ALL.map(|given| {
+                case.estimate(&mut estimator, given);
+                let bias = (estimator.flux() / case.flux).log2();
+                (bias.abs() / estimator.sigma_ev(), estimator.rung() as usize)
+            })
+        })
+        .collect();
+    std::array::from_fn(|rung| {
+        let of_it = misses.iter().flatten().filter(|(_, r)| *r == rung);
+        let scale = 0.5 * quantile(of_it.map(|(miss, _)| *miss).collect(), INSIDE);
+        if scale > 0.0 { scale } else { 1.0 }
+    })
+}
+
+/// Spearman's rank correlation; 0 of fewer than two pairs.
+pub fn rank_correlation(a: &[f64], b: &[f64]) -> f64 {
+    let ranks = |values: &[f64]| -> Vec<f64> {
+        let of = |v: &f64| {
+            let below = values.iter().filter(|w| *w < v).count();
+            let equal = values.iter().filter(|w| *w == v).count();
+            below as f64 + 0.5 * (equal as f64 - 1.0)
+        };
+        values.iter().map(of).collect()
+    };
+    let (a, b) = (ranks(a), ranks(b));
+    let mean = 0.5 * (a.len() as f64 - 1.0);
+    let product = |x: &[f64], y: &[f64]| -> f64 {
+        x.iter().zip(y).map(|(x, y)| (x - mean) * (y - mean)).sum()
+    };
+    let spread = (product(&a, &a) * product(&b, &b)).sqrt();
+    if spread > 0.0 {
+        product(&a, &b) / spread
+    } else {
+        0.0
+    }
 }
 
 /// The middle of some values; 0 of none.
@@ -260,22 +366,6 @@ pub fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     match (values.get(low), values.get(high)) {
         (Some(a), Some(b)) => a + (at - low as f64) * (b - a),
         _ => 0.0,
-    }
-}
-
-fn srgb_to_linear(v: f32) -> f32 {
-    if v <= 0.04045 {
-        v / 12.92
-    } else {
-        ((v + 0.055) / 1.055).powf(2.4)
-    }
-}
-
-fn linear_to_srgb(l: f32) -> f32 {
-    if l <= 0.003_130_8 {
-        l * 12.92
-    } else {
-        1.055 * l.powf(1.0 / 2.4) - 0.055
     }
 }
 

@@ -88,7 +88,12 @@ impl Grid {
 
     /// The texels whose centre may lie within `angle` (radians) of a direction, row by row:
     /// `visit(y, first column, columns)`, columns counted with wrap-around.
-    pub fn visit_cap(&self, direction: DVec3, angle: f64, mut visit: impl FnMut(usize, i64, usize)) {
+    pub fn visit_cap(
+        &self,
+        direction: DVec3,
+        angle: f64,
+        mut visit: impl FnMut(usize, i64, usize),
+    ) {
         let theta = direction.y.clamp(-1.0, 1.0).acos();
         let phi = direction.x.atan2(-direction.z);
         let per_row = self.height as f64 / PI;

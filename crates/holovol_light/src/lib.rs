@@ -7,8 +7,11 @@ mod environment;
 pub mod estimate;
 pub mod evaluate;
 mod grid;
+pub mod lens;
 pub mod measure;
+pub mod response;
 mod sampler;
+pub mod xmp;
 
 pub use environment::{EnvironmentMap, LightError, luminance};
 pub use grid::Grid;

@@ -97,6 +97,19 @@ impl FluxCells {
     }
 }
 
+/// ∫ luminance dω over a map: four times the mean luminous irradiance over all normals.
+pub fn luminous_flux(grid: &Grid, texels: &[[f32; 3]]) -> f64 {
+    let rows = texels.chunks_exact(grid.width()).take(grid.height());
+    rows.enumerate()
+        .map(|(y, row)| {
+            let sum = row.iter().fold([0.0_f32; 3], |sum, texel| {
+                [sum[0] + texel[0], sum[1] + texel[1], sum[2] + texel[2]]
+            });
+            luminance(sum.map(f64::from)) * f64::from(grid.solid_angle(y))
+        })
+        .sum()
+}
+
 /// `count` directions spread evenly over the sphere (a Fibonacci lattice).
 pub fn normals(count: usize) -> impl Iterator<Item = DVec3> {
     /// 2π(1 − 1/golden ratio).
@@ -315,7 +328,11 @@ mod tests {
         let mut added = [[0.0; 3]; 9];
         let solid_angle = f64::from(grid.solid_angle(30));
         let direction = DVec3::from_array(grid.direction(40, 30).map(f64::from));
-        add_to_spherical_harmonics(&mut added, direction, [3.0, 2.0, 1.0].map(|l| l * solid_angle));
+        add_to_spherical_harmonics(
+            &mut added,
+            direction,
+            [3.0, 2.0, 1.0].map(|l| l * solid_angle),
+        );
         for (a, b) in direct.iter().flatten().zip(added.iter().flatten()) {
             assert!((a - b).abs() < 1e-7 + 1e-5 * b.abs(), "{a} {b}");
         }
@@ -336,6 +353,9 @@ mod tests {
         assert_eq!((error.irradiance_rmse, error.ev_bias), (0.0, 0.0));
         let dimmer = EnvironmentMap::new(256, 128, vec![[0.1; 3]; 256 * 128]);
         let error = truth.error(&FluxCells::new(&dimmer));
-        assert!(error.ev_bias < -1.0 && error.irradiance_rmse > 0.5, "{error:?}");
+        assert!(
+            error.ev_bias < -1.0 && error.irradiance_rmse > 0.5,
+            "{error:?}"
+        );
     }
 }

@@ -5,11 +5,8 @@ use std::f64::consts::PI;
 use glam::DVec3;
 
 use super::constrain::GROUPS;
-use super::prior::Prior;
 use super::sky::smoothstep;
-use super::{
-    DISC_SOLID_ANGLE, Estimator, Light, LightClass, Region, SUN_SOLID_ANGLE,
-};
+use super::{DISC_SOLID_ANGLE, Estimator, Light, LightClass, Region, SUN_SOLID_ANGLE};
 use crate::luminance;
 
 /// The last light may stand for all weaker ones together.
@@ -19,10 +16,12 @@ pub(super) const REST: u32 = u32::MAX;
 const GLOW: [f64; 2] = [0.4, 1.0];
 /// A core smaller than this may be a sun without its glow being seen, sr.
 const SUN_CORE: [f64; 2] = [0.004, 0.02];
+/// From this ceiling on, a clipped core is the light itself rather than its glow.
+const BRACKETED: f32 = 8.0;
 /// Sine of the elevation below which nothing is a sun: haze and hills shift centres a little.
 const LOWEST_SUN: f64 = -0.05;
 /// Clearness × glow from which on a light is taken for a sun.
-const SUN_FROM: f64 = 0.15;
+const SUN_FROM: f64 = 0.25;
 /// The glow does not grow further toward the sun than to here, radians.
 const GLOW_CORE: f64 = 1.0 / 180.0 * PI;
 /// Largest radius of a glow that is believed, radians.
@@ -47,7 +46,7 @@ impl Estimator {
         self.strengths.clear();
         for (i, region) in self.regions.regions.iter().enumerate() {
             let gain = if region.core > 0.0 {
-                self.prior.region_gain(region) * darkened
+                self.prior.gain_of(region.sharpness()) * darkened
             } else {
                 0.0
             };
@@ -58,11 +57,13 @@ impl Estimator {
         }
         let (regions, strengths) = (&self.regions.regions, &self.strengths);
         let flux = |i: &u32| regions[*i as usize].core * strengths[*i as usize];
-        self.order.sort_unstable_by(|a, b| flux(b).total_cmp(&flux(a)));
+        self.order
+            .sort_unstable_by(|a, b| flux(b).total_cmp(&flux(a)));
         self.assign(sun.map(|(i, _)| i));
         if let Some((i, s)) = sun {
-            self.glow(i);
-            self.add_sun(i, s);
+            let direction = self.regions.regions[i as usize].centre();
+            self.glow(i, direction);
+            self.add_sun(i, s, direction);
         }
         self.add_regions(sun.is_some());
     }
@@ -70,8 +71,7 @@ impl Estimator {
     /// Says for each region which light it is part of.
     fn assign(&mut self, sun: Option<u32>) {
         self.assignment.clear();
-        self.assignment
-            .resize(self.regions.regions.len(), u8::MAX);
+        self.assignment.resize(self.regions.regions.len(), u8::MAX);
         let first = usize::from(sun.is_some());
         if let Some(i) = sun {
             // The sun is a disc; its region is no light of its own.
@@ -125,7 +125,7 @@ impl Estimator {
             .max_by(|a, b| a.1.core.total_cmp(&b.1.core))?;
         let growth = f64::from(region.halo / region.clipped).log2();
         let glow = smoothstep(GLOW, growth);
-        let bracketed = self.ceiling > 8.0;
+        let bracketed = self.ceiling >= BRACKETED;
         let small = if bracketed {
             1.0 - smoothstep(SUN_CORE, f64::from(region.core))
         } else {
@@ -137,9 +137,9 @@ impl Estimator {
 
     /// Fills a sun's region with its glow, which falls as 1/angle from one degree on: so it does
     /// on each of the fitted panoramas, out to 20° and more.
-    fn glow(&mut self, i: u32) {
+    fn glow(&mut self, i: u32, sun: DVec3) {
         let region = self.regions.regions[i as usize];
-        let sun = region.centre().as_vec3();
+        let sun = sun.as_vec3();
         let radius = (f64::from(region.core) / PI).sqrt().min(GLOW_RADIUS) as f32;
         let width = self.grid.width();
         for run in self.regions.runs.iter().filter(|run| run.region == i) {
@@ -156,22 +156,24 @@ impl Estimator {
     }
 
     /// The sun itself: so much brighter than its sky.
-    fn add_sun(&mut self, i: u32, sureness: f64) {
+    fn add_sun(&mut self, i: u32, sureness: f64, direction: DVec3) {
         let region = self.regions.regions[i as usize];
-        let direction = region.centre();
         let sky = luminance(self.map_irradiance(DVec3::Y));
         let flux = self.prior.sun_over_sky.exp2() * sureness * sky;
         let white = smoothstep(REDDENING, direction.y);
-        let tint: [f64; 3] =
+        let mut tint: [f64; 3] =
             std::array::from_fn(|c| SUNLIGHT[0][c] + white * (SUNLIGHT[1][c] - SUNLIGHT[0][c]));
+        // Seen through a dark exposure, the rim is the sun's own glow and has its colour.
+        if self.ceiling >= BRACKETED && region.rim.iter().all(|&c| c > 0.0) {
+            tint = region.rim.map(f64::from);
+        }
         let scale = flux / luminance(tint);
         self.lights.push(Light {
             class: LightClass::Sun,
             direction,
             solid_angle: SUN_SOLID_ANGLE,
             irradiance: tint.map(|c| c * scale),
-            // A doubtful sun is as unsure as it is doubtful.
-            sigma_ev: self.prior.sun_sigma + (1.0 - sureness),
+            sigma_ev: self.prior.sun_sigma(direction.y, sureness),
             disc: true,
             region: i,
         });
@@ -230,7 +232,8 @@ impl Estimator {
             let last = &mut self.lights[first + own - 1];
             last.irradiance = [rest_flux; 3];
         }
-        self.lights.retain(|light| light.irradiance.iter().any(|&e| e > 0.0) || !light.disc);
+        self.lights
+            .retain(|light| light.irradiance.iter().any(|&e| e > 0.0) || !light.disc);
     }
 
     /// Scales each light, RGB; no texel falls below the level at which it clipped.
@@ -289,7 +292,9 @@ impl Estimator {
         }
         for (reach, light) in reach.iter_mut().zip(&self.lights) {
             if light.disc {
-                *reach = light.irradiance.map(|e| e * light.direction.dot(normal).max(0.0));
+                *reach = light
+                    .irradiance
+                    .map(|e| e * light.direction.dot(normal).max(0.0));
             }
         }
         (base.map(|e| e.max(0.0)), reach)
@@ -327,7 +332,9 @@ impl Estimator {
         out.clear();
         out.extend_from_slice(&self.radiance);
         for light in self.lights.iter().filter(|light| light.disc) {
-            let angle = (1.0 - light.solid_angle / (2.0 * PI)).clamp(-1.0, 1.0).acos();
+            let angle = (1.0 - light.solid_angle / (2.0 * PI))
+                .clamp(-1.0, 1.0)
+                .acos();
             self.splat(out, light.direction, angle, light.irradiance);
         }
     }
@@ -363,15 +370,5 @@ fn classify(region: &Region, direction: DVec3) -> LightClass {
         LightClass::Lamp
     } else {
         LightClass::Window
-    }
-}
-
-impl Prior {
-    /// Gain of a region over the clipping level, EV.
-    fn region_gain(&self, region: &Region) -> f64 {
-        self.gain_of(Self::sharpness(
-            f64::from(region.halo),
-            f64::from(region.clipped),
-        ))
     }
 }

@@ -22,11 +22,7 @@ const MOVED: f32 = 1.5;
 ///
 /// `radiance` gets the map in units of the frame with EV 0; `clipped` per pixel a bit per channel
 /// that the darkest exposure clips. Returns the ceiling: the radiance at which the darkest clips.
-pub(super) fn merge(
-    frames: &[Exposure],
-    radiance: &mut [[f32; 3]],
-    clipped: &mut [u8],
-) -> f32 {
+pub(super) fn merge(frames: &[Exposure], radiance: &mut [[f32; 3]], clipped: &mut [u8]) -> f32 {
     let gain = |frame: &Exposure| (-frame.ev).exp2() as f32;
     let Some((first, darker)) = frames.split_first() else {
         return 1.0;
@@ -59,7 +55,11 @@ pub(super) fn merge(
                     // What the brighter frame clipped can't be darker, unless it moved; then the
                     // newer, brighter frame's bound holds.
                     let moved = dark * MOVED < before;
-                    out[c] = if moved { before } else { dark.max(before * CLIPPED) };
+                    out[c] = if moved {
+                        before
+                    } else {
+                        dark.max(before * CLIPPED)
+                    };
                     if value < CLIPPED {
                         *bits &= !bit;
                     }
@@ -107,8 +107,14 @@ mod tests {
     fn what_moved_between_exposures_does_not_leave_a_hole() {
         let (base, dark) = (vec![[1.0; 3], [0.9; 3]], vec![[0.001; 3], [0.9; 3]]);
         let frames = [
-            Exposure { ev: 0.0, radiance: &base },
-            Exposure { ev: -6.0, radiance: &dark },
+            Exposure {
+                ev: 0.0,
+                radiance: &base,
+            },
+            Exposure {
+                ev: -6.0,
+                radiance: &dark,
+            },
         ];
         let (mut out, mut bits) = (vec![[0.0; 3]; 2], vec![0; 2]);
         merge(&frames, &mut out, &mut bits);
@@ -120,7 +126,14 @@ mod tests {
     fn broken_values_become_finite_and_non_negative() {
         let base = vec![[f32::NAN, -1.0, f32::INFINITY]];
         let (mut out, mut bits) = (vec![[0.0; 3]; 1], vec![0; 1]);
-        merge(&[Exposure { ev: 0.0, radiance: &base }], &mut out, &mut bits);
+        merge(
+            &[Exposure {
+                ev: 0.0,
+                radiance: &base,
+            }],
+            &mut out,
+            &mut bits,
+        );
         assert_eq!((out[0], bits[0]), ([0.0, 0.0, 1.0], 4));
     }
 }

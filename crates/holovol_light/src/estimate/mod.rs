@@ -8,8 +8,11 @@ mod prior;
 mod regions;
 mod sky;
 
+use std::f64::consts::{LN_2, PI};
+
 use glam::DVec3;
 
+use crate::measure::luminous_flux;
 use crate::{Grid, luminance};
 use constrain::{Beliefs, GROUPS, Measured};
 use regions::Regions;
@@ -131,6 +134,11 @@ pub const DISC_SOLID_ANGLE: f64 = 0.02;
 /// The sun's disc, sr.
 pub const SUN_SOLID_ANGLE: f64 = 6.8e-5;
 
+/// How far the irradiance of a correct strength may be from the meter's, EV: lights have shapes
+/// and directions that are only nearly known.
+const METER_MODEL_SIGMA: f64 = 0.05;
+/// A light's centre may be off by this share of its clipped core's radius.
+const MISPLACEMENT: f64 = 0.2;
 /// Correlation of two regions' gains: lamps and windows of a room resemble each other.
 const SHARED: f64 = 0.6;
 /// How sure the unclipped part is, EV: response, vignetting, quantisation.
@@ -191,9 +199,10 @@ impl Estimator {
         );
         self.ceiling = merge::merge(frames, &mut self.radiance, &mut self.clipped);
         let ceiling = self.ceiling;
+        let base = (-frames[0].ev).exp2() as f32;
         self.regions
             .find(&self.grid, &self.radiance, &self.clipped, ceiling);
-        self.sky = Sky::look(&self.grid, &self.radiance, &self.clipped);
+        self.sky = Sky::look(&self.grid, &self.radiance, merge::CLIPPED * base);
         self.rung = match (evidence.probe, evidence.meter, frames.len() > 1) {
             (Some(_), ..) => Rung::Probe,
             (None, None, false) => Rung::Single,
@@ -210,15 +219,7 @@ impl Estimator {
         let count = self.lights.len().min(GROUPS);
         let beliefs = self.beliefs();
         let mut shares = [0.0; GROUPS];
-        let measured = evidence.meter.map(|meter| {
-            let (base, reach) = self.reach(meter.normal);
-            Measured {
-                base: luminance(base),
-                reach: reach.map(luminance),
-                value: meter.irradiance,
-                sigma: meter.relative_sigma.max(1e-3) / std::f64::consts::LN_2,
-            }
-        });
+        let measured = evidence.meter.map(|meter| self.measured(&meter));
         let found = match evidence.probe {
             Some(probe) if !probe.is_empty() => self.constrain_by_probe(&beliefs, probe),
             _ => {
@@ -238,7 +239,36 @@ impl Estimator {
                 variance += shares[i] * shares[j] * found.covariance[i][j];
             }
         }
-        self.sigma_ev = self.prior.sigma_scale * variance.max(0.0).sqrt();
+        self.sigma_ev = self.prior.sigma_scale[self.rung as usize] * variance.max(0.0).sqrt();
+    }
+
+    /// A meter's reading, and how well the lights' places let it be understood.
+    fn measured(&self, meter: &Meter) -> Measured {
+        let (base, reach) = self.reach(meter.normal);
+        let base = luminance(base);
+        let reach = reach.map(luminance);
+        let total = (base + reach.iter().sum::<f64>()).max(1e-12);
+        // A light that is off by δ changes its cosine by δ·tan: much where it grazes the meter.
+        let misplaced = self.lights.iter().zip(reach).map(|(light, reach)| {
+            let cosine = light.direction.dot(meter.normal).clamp(0.05, 1.0);
+            let tangent = (1.0 - cosine * cosine).sqrt() / cosine;
+            reach / total * tangent * self.misplacement(light)
+        });
+        let model = misplaced.sum::<f64>().min(1.0) / LN_2;
+        let read = meter.relative_sigma / LN_2;
+        Measured {
+            base,
+            reach,
+            value: meter.irradiance,
+            sigma: (read * read + model * model + METER_MODEL_SIGMA.powi(2)).sqrt(),
+        }
+    }
+
+    /// How far a light may be from where it was seen, radians.
+    fn misplacement(&self, light: &Light) -> f64 {
+        let region = self.regions.regions.get(light.region as usize);
+        let core = region.map_or(light.solid_angle, |region| f64::from(region.core));
+        MISPLACEMENT * (core / PI).sqrt()
     }
 
     /// What is believed of the lights' strengths relative to what was guessed.
@@ -269,7 +299,10 @@ impl Estimator {
         let mean = probe.iter().fold([0.0; 3], |sum, sample| {
             std::array::from_fn(|c| sum[c] + sample.irradiance[c] / probe.len() as f64)
         });
-        let reaches: Vec<_> = probe.iter().map(|sample| self.reach(sample.normal)).collect();
+        let reaches: Vec<_> = probe
+            .iter()
+            .map(|sample| self.reach(sample.normal))
+            .collect();
         let mut factors = [[1.0; 3]; GROUPS];
         let mut posterior = None;
         for c in [0, 2, 1] {
@@ -283,7 +316,7 @@ impl Estimator {
                         reach: reach.map(|rgb| rgb[c]),
                         value,
                         // The noise is that of the probe's picture: absolute, not relative.
-                        sigma: PROBE_SIGMA * (mean[c] / value).max(1.0) / std::f64::consts::LN_2,
+                        sigma: PROBE_SIGMA * (mean[c] / value).max(1.0) / LN_2,
                     }
                 })
                 .collect();
@@ -333,19 +366,10 @@ impl Estimator {
         self.ceiling
     }
 
-    /// Luminous flux of map and discs: mean luminous irradiance × 4.
-    fn flux(&self) -> f64 {
-        let width = self.grid.width();
-        let map: f64 = (0..self.grid.height())
-            .map(|y| {
-                let row = &self.radiance[y * width..(y + 1) * width];
-                let sum = row.iter().fold([0.0_f32; 3], |sum, texel| {
-                    [sum[0] + texel[0], sum[1] + texel[1], sum[2] + texel[2]]
-                });
-                luminance(sum.map(f64::from)) * f64::from(self.grid.solid_angle(y))
-            })
-            .sum();
+    /// Luminous flux of map and discs: four times the mean luminous irradiance.
+    pub fn flux(&self) -> f64 {
         let discs = self.lights.iter().filter(|light| light.disc);
-        map + discs.map(|light| luminance(light.irradiance)).sum::<f64>()
+        luminous_flux(&self.grid, &self.radiance)
+            + discs.map(|light| luminance(light.irradiance)).sum::<f64>()
     }
 }

@@ -1,8 +1,9 @@
 //! What the truth says about the lights of an estimate: the ground that priors are fitted on.
 
 use super::extend::REST;
-use super::{Estimator, LightClass, Prior};
+use super::{Estimator, LightClass};
 use crate::luminance;
+use crate::measure::luminous_flux;
 
 /// A light as it was guessed, beside the truth.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,12 +13,14 @@ pub enum Observation {
     Sun(f64),
     /// A clipped region.
     Region {
-        /// What its edge says.
+        /// How sharp its edge is.
         sharpness: f64,
         /// log₂ of its core's true mean luminance over the clipping level.
         gain: f64,
+        /// Solid angle of its core, sr.
+        core: f64,
         /// Its true share of all luminous flux.
-        share: f64,
+        flux: f64,
     },
 }
 
@@ -27,12 +30,12 @@ impl Estimator {
     pub fn observe(&self, truth: &[[f32; 3]]) -> Vec<Observation> {
         let width = self.grid.width();
         let flux = |texels: &[[f32; 3]], y: usize| {
-            let sum = texels.iter().fold(0.0, |sum, texel| {
-                sum + luminance(texel.map(f64::from))
-            });
+            let sum = texels
+                .iter()
+                .fold(0.0, |sum, texel| sum + luminance(texel.map(f64::from)));
             sum * f64::from(self.grid.solid_angle(y))
         };
-        let all: f64 = truth.chunks(width).enumerate().map(|(y, row)| flux(row, y)).sum();
+        let all = luminous_flux(&self.grid, truth);
         let mut found = vec![(0.0, 0.0); self.regions.regions.len()];
         for run in &self.regions.runs {
             let row = run.y as usize * width;
@@ -57,10 +60,11 @@ impl Estimator {
                 }
                 let region = self.regions.regions[light.region as usize];
                 let mean = real / f64::from(region.core * self.ceiling);
-                (mean > 0.0 && all > 0.0).then(|| Observation::Region {
-                    sharpness: Prior::sharpness(f64::from(region.halo), f64::from(region.clipped)),
+                (mean > 0.0).then(|| Observation::Region {
+                    sharpness: region.sharpness(),
                     gain: mean.log2().max(0.0),
-                    share: real / all,
+                    core: f64::from(region.core),
+                    flux: real / all,
                 })
             })
             .collect()

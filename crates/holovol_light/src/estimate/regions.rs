@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 
+use super::prior::sharpness;
 use crate::Grid;
 
 /// Texels in a row, all of one region.
@@ -34,6 +35,11 @@ impl Region {
         let moment = DVec3::from_array(self.moment.map(f64::from));
         moment.try_normalize().unwrap_or(DVec3::Y)
     }
+
+    /// How sharp its edge is; see [`sharpness`].
+    pub(super) fn sharpness(&self) -> f64 {
+        sharpness(f64::from(self.halo), f64::from(self.clipped))
+    }
 }
 
 /// Finds regions; keeps its memory between frames.
@@ -45,8 +51,8 @@ pub(super) struct Regions {
 }
 
 impl Regions {
-    /// Labels the texels whose brightest channel reaches half the ceiling and that hang together
-    /// (8 neighbours) with a clipped one.
+    /// Labels the texels whose brightest channel reaches half the ceiling; those that touch, also
+    /// at a corner or across the seam, are one region.
     pub fn find(&mut self, grid: &Grid, radiance: &[[f32; 3]], clipped: &[u8], ceiling: f32) {
         self.runs.clear();
         let threshold = 0.5 * ceiling;
@@ -130,7 +136,7 @@ impl Regions {
         self.parents[a.max(b) as usize] = a.min(b);
     }
 
-    /// Measures the regions, and leaves out those with nothing clipped, and their runs.
+    /// Measures the regions; of one with nothing clipped only the halo and the rim are not 0.
     fn measure(&mut self, grid: &Grid, radiance: &[[f32; 3]], clipped: &[u8]) {
         let width = grid.width();
         self.regions.clear();
@@ -206,14 +212,21 @@ mod tests {
                 _ => [0.1; 3],
             })
             .collect();
-        let clipped: Vec<u8> = bytes.iter().map(|&b| if b == b'#' { 7 } else { 0 }).collect();
+        let clipped: Vec<u8> = bytes
+            .iter()
+            .map(|&b| if b == b'#' { 7 } else { 0 })
+            .collect();
         let mut regions = Regions::default();
         regions.find(&grid, &radiance, &clipped, 1.0);
         (regions, grid)
     }
 
     fn cores(regions: &Regions) -> usize {
-        regions.regions.iter().filter(|region| region.core > 0.0).count()
+        regions
+            .regions
+            .iter()
+            .filter(|region| region.core > 0.0)
+            .count()
     }
 
     #[test]
@@ -240,6 +253,8 @@ mod tests {
         let halo: f32 = (1..4).map(|y| 4.0 * grid.solid_angle(y)).sum();
         let found: f32 = regions.regions.iter().map(|region| region.halo).sum();
         assert!((found - halo).abs() < 1e-5, "{found} {halo}");
-        assert_eq!(regions.regions.len(), 2, "one is a lone halo");
+        assert_eq!(regions.regions.len(), 1);
+        let (regions, _) = find(&["........", "#..++...", "........"]);
+        assert_eq!((regions.regions.len(), cores(&regions)), (2, 1));
     }
 }

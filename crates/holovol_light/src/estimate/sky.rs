@@ -5,7 +5,7 @@ use crate::Grid;
 /// What was seen above the horizon.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sky {
-    /// Blue over red of the unclipped light from 5° up; 1 if there is none.
+    /// Blue over red of what the first exposure sees from 5° up; 1 if there is nothing.
     pub blue_over_red: f64,
     /// How much it looks like a clear sky, 0 … 1.
     pub clearness: f64,
@@ -20,26 +20,30 @@ const LOWEST: f32 = 0.087;
 const CLEAR: [f64; 2] = [0.26, 0.85];
 
 impl Sky {
-    /// Looks at the texels with no clipped channel.
-    pub(super) fn look(grid: &Grid, radiance: &[[f32; 3]], clipped: &[u8]) -> Self {
+    /// Looks at the texels below `clipping` in all channels: the first exposure's level, so that
+    /// darker exposures don't change what is seen.
+    pub(super) fn look(grid: &Grid, radiance: &[[f32; 3]], clipping: f32) -> Self {
         let width = grid.width();
         let (mut red, mut blue) = (0.0, 0.0);
-        for y in 0..grid.height() {
+        for (y, row) in radiance.chunks_exact(width).enumerate() {
             if grid.row(y)[1] < LOWEST {
                 break;
             }
-            let row = y * width..(y + 1) * width;
-            let (mut row_red, mut row_blue) = (0.0_f32, 0.0_f32);
-            for (texel, &bits) in radiance[row.clone()].iter().zip(&clipped[row]) {
-                let seen = if bits == 0 { 1.0 } else { 0.0 };
-                row_red += seen * texel[0];
-                row_blue += seen * texel[2];
+            let mut sum = [0.0_f32; 3];
+            for texel in row {
+                let seen = texel[0].max(texel[1]).max(texel[2]) < clipping;
+                for c in 0..3 {
+                    sum[c] += if seen { texel[c] } else { 0.0 };
+                }
             }
-            let solid_angle = f64::from(grid.solid_angle(y));
-            red += f64::from(row_red) * solid_angle;
-            blue += f64::from(row_blue) * solid_angle;
+            red += f64::from(sum[0] * grid.solid_angle(y));
+            blue += f64::from(sum[2] * grid.solid_angle(y));
         }
-        let blue_over_red = if red > 0.0 && blue > 0.0 { blue / red } else { 1.0 };
+        let blue_over_red = if red > 0.0 && blue > 0.0 {
+            blue / red
+        } else {
+            1.0
+        };
         Self {
             blue_over_red,
             clearness: smoothstep(CLEAR, blue_over_red.log2()),
