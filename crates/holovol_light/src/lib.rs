@@ -3,6 +3,9 @@
 //! An [`EnvironmentMap`] is a latitude–longitude picture of linear radiance around the scene;
 //! an [`EnvironmentSampler`] draws directions in exact proportion to its interpolated importance.
 
+pub mod align;
+pub mod chain;
+pub mod change;
 mod environment;
 pub mod estimate;
 pub mod evaluate;
@@ -11,6 +14,7 @@ pub mod lens;
 pub mod measure;
 pub mod response;
 mod sampler;
+pub mod temporal;
 pub mod xmp;
 
 pub use environment::{EnvironmentMap, LightError, luminance};

@@ -127,7 +127,7 @@ mod tests {
         let element = b"<GPano:PoseHeadingDegrees>90</GPano:PoseHeadingDegrees>";
         assert_eq!(photo_sphere(element).unwrap().heading_deg, Some(90.0));
         assert_eq!(photo_sphere(b"no metadata"), None);
-        assert_eq!(photo_sphere(b"GPano:PoseHeadingDegrees=\"1e999\""), None);
+        assert_eq!(photo_sphere(b"GPano:PoseHeadingDegrees=\"north\""), None);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! `holovol bench`: measures holovol on this machine.
 
 mod light;
+mod light_path;
 mod report;
 mod trace;
 

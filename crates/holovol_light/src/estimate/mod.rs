@@ -6,6 +6,7 @@ mod merge;
 mod observe;
 mod prior;
 mod regions;
+mod resolve;
 mod sky;
 
 use std::f64::consts::{LN_2, PI};
@@ -160,6 +161,10 @@ pub struct Estimator {
     /// Per region: its light, or none (`u8::MAX`).
     assignment: Vec<u8>,
     lights: Vec<Light>,
+    /// For small lights that were seen: marks, regions, and what each has above its level.
+    marks: Vec<u8>,
+    bright: Regions,
+    above: Vec<([f64; 3], DVec3)>,
     ceiling: f32,
     sky: Sky,
     rung: Rung,
@@ -179,6 +184,9 @@ impl Estimator {
             strengths: Vec::new(),
             assignment: Vec::new(),
             lights: Vec::new(),
+            marks: Vec::new(),
+            bright: Regions::default(),
+            above: Vec::new(),
             ceiling: 1.0,
             sky: Sky::default(),
             rung: Rung::Single,
@@ -212,6 +220,7 @@ impl Estimator {
         };
         self.extend();
         self.constrain(evidence);
+        self.resolve();
     }
 
     /// Unknown strengths under what was measured; lights and map are scaled by the result.

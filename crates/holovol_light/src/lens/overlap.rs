@@ -4,6 +4,7 @@
 use glam::{DQuat, DVec3};
 
 use super::calibration::to_lens;
+use super::stitch::edge_radius;
 use super::{Calibration, CalibrationError, FisheyePair, LensModel, Projection};
 
 /// A refined calibration and what it gained.
@@ -21,11 +22,16 @@ pub struct Refined {
 const SAMPLES: usize = 60_000;
 /// Smoothing of the pictures, finest last, in pixels at 1000 pixels of width: the search first
 /// sees the coarse shapes only, so that it does not end in the wrong texture.
-const SCALES: [usize; 4] = [24, 10, 4, 2];
+const SCALES: [usize; 3] = [12, 5, 2];
 /// Fewer comparisons than this say nothing.
 const FEWEST: usize = 200;
 /// Parameters: a rotation vector and a centre per lens, and one factor on the focal lengths.
 const PARAMETERS: usize = 8;
+/// How far each is expected to be off: radians; pixels at 1000 pixels of width; log. In a ring of
+/// overlap a turn looks much like a shift, and cameras turn more than they shift.
+const EXPECTED: [f64; PARAMETERS] = [0.03, 0.03, 0.03, 1.0, 1.0, 1.0, 1.0, 0.01];
+/// Weight of these expectations against the mean squared difference.
+const EXPECTED_WEIGHT: f64 = 1e-3;
 
 /// Refines rotation of the second lens against the first, both centres, and the common focal
 /// length on one stitched pair, by the intensities of the overlap (Gauss–Newton with numeric
@@ -50,6 +56,15 @@ pub fn refine(calibration: &Calibration, pair: &FisheyePair) -> Result<Refined, 
         }
     }
     let table = calibration.response.table();
+    let per_thousand = calibration.lenses[0].size[0] as f64 / 1000.0;
+    let expected: [f64; PARAMETERS] = std::array::from_fn(|k| match k {
+        3..7 => EXPECTED[k] * per_thousand,
+        _ => EXPECTED[k],
+    });
+    let cost = |residuals: &[f64], p: &[f64; PARAMETERS]| {
+        let off = p.iter().zip(expected).map(|(p, e)| (p / e).powi(2));
+        mean_square(residuals) + EXPECTED_WEIGHT * off.sum::<f64>()
+    };
     let mut parameters = [0.0; PARAMETERS];
     let mut first = None;
     let mut last = (0.0, 0);
@@ -58,7 +73,9 @@ pub fn refine(calibration: &Calibration, pair: &FisheyePair) -> Result<Refined, 
             .map(|lens| {
                 let size = calibration.lenses[lens].size;
                 let radius = (scale * size[0]).div_ceil(2000).max(1);
-                Blurred::new(pair.pictures[lens], size, &table[1], radius)
+                let model = &calibration.lenses[lens].projection;
+                let circle = (model.centre(), edge_radius(&calibration.lenses[lens]) - 1.0);
+                Blurred::new(pair.pictures[lens], size, &table[1], radius, circle)
             })
             .collect();
         let residuals = |p: &[f64; PARAMETERS]| residuals(&moved(calibration, p), &pictures);
@@ -83,7 +100,8 @@ pub fn refine(calibration: &Calibration, pair: &FisheyePair) -> Result<Refined, 
                     pairs.map(|(u, d)| (u - d) / (2.0 * steps[k])).collect()
                 })
                 .collect();
-            let Some(step) = solve(&columns, &best.0, damping) else {
+            let weights = expected.map(|e| EXPECTED_WEIGHT * best.0.len() as f64 / (e * e));
+            let Some(step) = solve(&columns, &best.0, &parameters, &weights, damping) else {
                 break;
             };
             let mut next = parameters;
@@ -91,8 +109,8 @@ pub fn refine(calibration: &Calibration, pair: &FisheyePair) -> Result<Refined, 
                 next[k] += step[k];
             }
             let found = residuals(&next);
-            if found.1 >= FEWEST && mean_square(&found.0) < mean_square(&best.0) {
-                let gained = mean_square(&best.0) - mean_square(&found.0);
+            let gained = cost(&best.0, &parameters) - cost(&found.0, &next);
+            if found.1 >= FEWEST && gained > 0.0 {
                 parameters = next;
                 best = found;
                 damping *= 0.3;
@@ -194,7 +212,13 @@ fn mean_square(values: &[f64]) -> f64 {
 }
 
 /// Levenberg–Marquardt step; `None` if singular.
-fn solve(columns: &[Vec<f64>], residuals: &[f64], damping: f64) -> Option<[f64; PARAMETERS]> {
+fn solve(
+    columns: &[Vec<f64>],
+    residuals: &[f64],
+    parameters: &[f64; PARAMETERS],
+    weights: &[f64; PARAMETERS],
+    damping: f64,
+) -> Option<[f64; PARAMETERS]> {
     const N: usize = PARAMETERS;
     let mut a = [[0.0; N + 1]; N];
     for i in 0..N {
@@ -228,7 +252,7 @@ fn solve(columns: &[Vec<f64>], residuals: &[f64], damping: f64) -> Option<[f64; 
     Some(std::array::from_fn(|i| a[i][N] / a[i][i]))
 }
 
-/// A picture's log radiance, box-blurred twice.
+/// A picture's log radiance, box-blurred twice; what lies outside the image circle is left out.
 struct Blurred {
     width: usize,
     height: usize,
@@ -241,17 +265,30 @@ impl Blurred {
         [width, height]: [usize; 2],
         table: &[f32; 256],
         radius: usize,
+        (centre, edge): (glam::DVec2, f64),
     ) -> Self {
-        let log = |pixel: &[u8; 3]| (table[usize::from(pixel[1])] + 0.01).ln();
-        let mut values: Vec<f32> = picture.iter().map(log).collect();
+        let inside = |i: usize| {
+            let at = glam::DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+            f32::from(u8::from((at - centre).length() <= edge))
+        };
+        let mut weights: Vec<f32> = (0..picture.len()).map(inside).collect();
+        let log = |(pixel, weight): (&[u8; 3], &f32)| {
+            weight * (table[usize::from(pixel[1])] + 0.01).ln()
+        };
+        let mut values: Vec<f32> = picture.iter().zip(&weights).map(log).collect();
         let mut line = Vec::new();
-        for _ in 0..2 {
-            for y in 0..height {
-                box_blur(&mut values, y * width, 1, width, radius, &mut line);
+        for plane in [&mut values, &mut weights] {
+            for _ in 0..2 {
+                for y in 0..height {
+                    box_blur(plane, y * width, 1, width, radius, &mut line);
+                }
+                for x in 0..width {
+                    box_blur(plane, x, width, height, radius, &mut line);
+                }
             }
-            for x in 0..width {
-                box_blur(&mut values, x, width, height, radius, &mut line);
-            }
+        }
+        for (value, weight) in values.iter_mut().zip(&weights) {
+            *value = if *weight > 0.05 { *value / weight } else { f32::NAN };
         }
         Self {
             width,
@@ -271,7 +308,7 @@ impl Blurred {
         let v = |i: usize| f64::from(self.values[i]);
         let top = v(i) + fx * (v(i + 1) - v(i));
         let bottom = v(i + self.width) + fx * (v(i + self.width + 1) - v(i + self.width));
-        Some(top + fy * (bottom - top))
+        Some(top + fy * (bottom - top)).filter(|value| value.is_finite())
     }
 }
 

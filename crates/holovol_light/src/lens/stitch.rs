@@ -317,7 +317,7 @@ fn overlap_taps(calibration: &Calibration, axes: [DVec3; 2], reach: [f64; 2]) ->
 }
 
 /// Radius of the edge of a lens's field of view, pixels.
-fn edge_radius(lens: &super::Lens) -> f64 {
+pub(super) fn edge_radius(lens: &super::Lens) -> f64 {
     let angle = lens.projection.max_angle() - 1e-6;
     let edge = lens
         .projection
