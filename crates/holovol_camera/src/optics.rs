@@ -91,7 +91,11 @@ impl VirtualLens {
         if angle > self.edge() {
             return None;
         }
-        let heading = if radius > 0.0 { place / radius } else { DVec2::ZERO };
+        let heading = if radius > 0.0 {
+            place / radius
+        } else {
+            DVec2::ZERO
+        };
         Some((heading * angle.sin()).extend(angle.cos()))
     }
 }
@@ -158,10 +162,18 @@ mod tests {
         let pairs = [
             (
                 VirtualLens::Equidistant { edge },
-                LensModel::Equidistant { focal: scale / edge, centre, fov_deg },
+                LensModel::Equidistant {
+                    focal: scale / edge,
+                    centre,
+                    fov_deg,
+                },
             ),
             (
-                VirtualLens::KannalaBrandt { focal: 0.6, k: [-0.02, 0.003, 1e-4, -2e-5], edge },
+                VirtualLens::KannalaBrandt {
+                    focal: 0.6,
+                    k: [-0.02, 0.003, 1e-4, -2e-5],
+                    edge,
+                },
                 LensModel::KannalaBrandt {
                     focal: [0.6 * scale; 2],
                     centre,
@@ -170,7 +182,13 @@ mod tests {
                 },
             ),
             (
-                VirtualLens::Mei { xi: 2.0, focal: 1.8, k: [0.05, -0.01, 0.0], p: [1e-3, -2e-3], edge },
+                VirtualLens::Mei {
+                    xi: 2.0,
+                    focal: 1.8,
+                    k: [0.05, -0.01, 0.0],
+                    p: [1e-3, -2e-3],
+                    edge,
+                },
                 LensModel::Mei {
                     xi: 2.0,
                     focal: [1.8 * scale; 2],
@@ -181,7 +199,10 @@ mod tests {
                 },
             ),
             (
-                VirtualLens::Polynomial { factors: vec![0.0, 0.62, 0.0, -0.02], edge },
+                VirtualLens::Polynomial {
+                    factors: vec![0.0, 0.62, 0.0, -0.02],
+                    edge,
+                },
                 LensModel::OCam {
                     polynomial: [0.0, 0.62, 0.0, -0.02].map(|a| a * scale).to_vec(),
                     centre,
@@ -195,7 +216,10 @@ mod tests {
                 let ray = lens.ray(place).expect("inside the circle");
                 let pixel = model.project(ray).expect("seen");
                 let expected = DVec2::from_array(centre) + place * scale;
-                assert!((pixel - expected).length() < 1e-3, "{lens:?} {place}: {pixel}");
+                assert!(
+                    (pixel - expected).length() < 1e-3,
+                    "{lens:?} {place}: {pixel}"
+                );
             }
             assert!(lens.ray(DVec2::splat(5.0)).is_none(), "{lens:?}");
         }

@@ -112,7 +112,8 @@ impl VirtualCamera {
             };
             let scale = ev.exp2();
             let pictures = [0, 1].map(|lens: usize| {
-                let scaled: Vec<[f64; 3]> = light[lens].iter().map(|l| l.map(|c| c * scale)).collect();
+                let scaled: Vec<[f64; 3]> =
+                    light[lens].iter().map(|l| l.map(|c| c * scale)).collect();
                 let seed = seed.wrapping_mul(31).wrapping_add((2 * i + lens) as u64);
                 self.sensor.develop(self.size, self.size, &scaled, seed)
             });
@@ -141,13 +142,15 @@ impl VirtualCamera {
             for (x, pixel) in row.iter_mut().enumerate() {
                 for s in 0..n * n {
                     let inner = DVec2::new((s % n) as f64 + 0.5, (s / n) as f64 + 0.5) / n as f64;
-                    let place = (DVec2::new(x as f64, y as f64) + inner) * (2.0 / size as f64) - 1.0;
+                    let place =
+                        (DVec2::new(x as f64, y as f64) + inner) * (2.0 / size as f64) - 1.0;
                     let place = place - self.shifts[lens];
                     let Some(ray) = self.lenses[lens].ray(place) else {
                         continue;
                     };
                     let rho = ray.truncate().length().atan2(ray.z) / self.lenses[lens].edge();
-                    let falloff = 1.0 + rho * rho * (self.vignetting[0] + self.vignetting[1] * rho * rho);
+                    let falloff =
+                        1.0 + rho * rho * (self.vignetting[0] + self.vignetting[1] * rho * rho);
                     let seen = self.radiance(map, pupil, world_from_lens * ray);
                     for c in 0..3 {
                         pixel[c] += seen[c] * falloff * self.gains[lens] / (n * n) as f64;
@@ -217,7 +220,12 @@ mod tests {
             vignetting: [0.0; 2],
             gains: [1.0; 2],
             glare: 0.0,
-            sensor: Sensor { full_well: 0.0, half_colour: false, quantiser: 0.0, ..Sensor::default() },
+            sensor: Sensor {
+                full_well: 0.0,
+                half_colour: false,
+                quantiser: 0.0,
+                ..Sensor::default()
+            },
             ..VirtualCamera::default()
         }
     }
@@ -226,36 +234,62 @@ mod tests {
     fn waves() -> EnvironmentMap {
         let (width, height) = (256, 128);
         let texels = (0..width * height).map(|i| {
-            let uv = [((i % width) as f64 + 0.5) / width as f64, ((i / width) as f64 + 0.5) / height as f64];
+            let uv = [
+                ((i % width) as f64 + 0.5) / width as f64,
+                ((i / width) as f64 + 0.5) / height as f64,
+            ];
             let d = EnvironmentMap::direction_from_uv(uv);
-            let l = 0.4 + 0.15 * (7.0 * d.x + 2.0 * d.y).sin() + 0.15 * (9.0 * d.z - 5.0 * d.y).sin();
+            let l =
+                0.4 + 0.15 * (7.0 * d.x + 2.0 * d.y).sin() + 0.15 * (9.0 * d.z - 5.0 * d.y).sin();
             [l as f32, (0.9 * l) as f32, (0.6 + 0.2 * d.y) as f32]
         });
         EnvironmentMap::new(width, height, texels.collect())
     }
 
-    fn stitched(camera: &VirtualCamera, calibration: &Calibration, map: &EnvironmentMap) -> Vec<[f32; 3]> {
-        let shot = camera.shoot(map, &[Exposure::Fixed(0.0)], 1).unwrap().remove(0);
+    fn stitched(
+        camera: &VirtualCamera,
+        calibration: &Calibration,
+        map: &EnvironmentMap,
+    ) -> Vec<[f32; 3]> {
+        let shot = camera
+            .shoot(map, &[Exposure::Fixed(0.0)], 1)
+            .unwrap()
+            .remove(0);
         let pose = DMat3::from_quat(camera.world_from_camera);
         let mut stitcher = Stitcher::new(calibration, 256, 128, pose).unwrap();
         let mut out = vec![[0.0; 3]; 256 * 128];
         let pictures = [&shot.pictures[0][..], &shot.pictures[1][..]];
-        stitcher.stitch(&FisheyePair { pictures }, &mut out).unwrap();
+        stitcher
+            .stitch(&FisheyePair { pictures }, &mut out)
+            .unwrap();
         out
     }
 
     fn rms(a: &[[f32; 3]], b: &EnvironmentMap) -> f64 {
-        let sum: f64 = a.iter().flatten().zip(b.texels().iter().flatten())
-            .map(|(a, b)| f64::from(a - b).powi(2)).sum();
+        let sum: f64 = a
+            .iter()
+            .flatten()
+            .zip(b.texels().iter().flatten())
+            .map(|(a, b)| f64::from(a - b).powi(2))
+            .sum();
         (sum / (3.0 * a.len() as f64)).sqrt()
     }
 
     #[test]
     fn a_clean_camera_is_stitched_back_to_its_map_in_any_pose() {
         let map = waves();
-        for pose in [DQuat::IDENTITY, DQuat::from_euler(glam::EulerRot::YXZ, 2.0, 0.5, -0.3)] {
-            let camera = VirtualCamera { world_from_camera: pose, ..camera() };
-            let error = rms(&stitched(&camera, &Calibration::nominal([SIZE; 2], 195.0), &map), &map);
+        for pose in [
+            DQuat::IDENTITY,
+            DQuat::from_euler(glam::EulerRot::YXZ, 2.0, 0.5, -0.3),
+        ] {
+            let camera = VirtualCamera {
+                world_from_camera: pose,
+                ..camera()
+            };
+            let error = rms(
+                &stitched(&camera, &Calibration::nominal([SIZE; 2], 195.0), &map),
+                &map,
+            );
             assert!(error < 0.006, "{pose}: {error}");
         }
     }
@@ -263,7 +297,11 @@ mod tests {
     #[test]
     fn gains_and_vignetting_are_undone_without_a_seam() {
         let map = waves();
-        let camera = VirtualCamera { gains: [1.1, 0.9], vignetting: [-0.15, -0.1], ..camera() };
+        let camera = VirtualCamera {
+            gains: [1.1, 0.9],
+            vignetting: [-0.15, -0.1],
+            ..camera()
+        };
         let mut calibration = Calibration::nominal([SIZE; 2], 195.0);
         for lens in &mut calibration.lenses {
             lens.vignetting = [-0.15, -0.1, 0.0];
@@ -279,15 +317,25 @@ mod tests {
     fn a_tilted_lens_is_found_from_the_overlap() {
         let map = waves();
         let camera = VirtualCamera {
-            tilts: [DQuat::IDENTITY, DQuat::from_euler(glam::EulerRot::XYZ, 0.012, -0.009, 0.02)],
+            tilts: [
+                DQuat::IDENTITY,
+                DQuat::from_euler(glam::EulerRot::XYZ, 0.012, -0.009, 0.02),
+            ],
             ..camera()
         };
         let start = Calibration::nominal([SIZE; 2], 195.0);
         let before = rms(&stitched(&camera, &start, &map), &map);
-        let shot = camera.shoot(&map, &[Exposure::Fixed(0.0)], 1).unwrap().remove(0);
+        let shot = camera
+            .shoot(&map, &[Exposure::Fixed(0.0)], 1)
+            .unwrap()
+            .remove(0);
         let pictures = [&shot.pictures[0][..], &shot.pictures[1][..]];
         let refined = refine(&start, &FisheyePair { pictures }).unwrap();
-        assert!(refined.disagreement[1] < 0.3 * refined.disagreement[0], "{:?}", refined.disagreement);
+        assert!(
+            refined.disagreement[1] < 0.3 * refined.disagreement[0],
+            "{:?}",
+            refined.disagreement
+        );
         let after = rms(&stitched(&camera, &refined.calibration, &map), &map);
         assert!(after < 0.6 * before, "{before} {after}");
         let LensModel::Equidistant { .. } = refined.calibration.lenses[0].projection else {
@@ -297,15 +345,40 @@ mod tests {
 
     #[test]
     fn exposures_and_meter_do_what_they_say() {
-        let camera = VirtualCamera { size: 64, ..camera() };
+        let camera = VirtualCamera {
+            size: 64,
+            ..camera()
+        };
         let map = EnvironmentMap::constant([0.25, 0.25, 0.25]);
         let shots = camera
-            .shoot(&map, &[Exposure::Fixed(0.0), Exposure::Fixed(-2.0), Exposure::Automatic(0.3)], 1)
+            .shoot(
+                &map,
+                &[
+                    Exposure::Fixed(0.0),
+                    Exposure::Fixed(-2.0),
+                    Exposure::Automatic(0.3),
+                ],
+                1,
+            )
             .unwrap();
         let middle = |shot: &Shot| shot.pictures[0][64 * 32 + 32][1];
         assert_eq!((middle(&shots[0]), middle(&shots[1])), (137, 71));
         assert!(shots[2].ev > 0.0);
-        assert!(VirtualCamera { size: 0, ..camera.clone() }.shoot(&map, &[], 1).is_err());
-        assert!(VirtualCamera { room: DVec3::ZERO, ..camera }.shoot(&map, &[], 1).is_err());
+        assert!(
+            VirtualCamera {
+                size: 0,
+                ..camera.clone()
+            }
+            .shoot(&map, &[], 1)
+            .is_err()
+        );
+        assert!(
+            VirtualCamera {
+                room: DVec3::ZERO,
+                ..camera
+            }
+            .shoot(&map, &[], 1)
+            .is_err()
+        );
     }
 }

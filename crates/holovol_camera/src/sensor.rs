@@ -63,7 +63,9 @@ struct Random(u64);
 impl Random {
     fn uniform(&mut self) -> f64 {
         let old = self.0;
-        self.0 = old.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        self.0 = old
+            .wrapping_mul(6364136223846793005)
+            .wrapping_add(1442695040888963407);
         let word = (((old >> 18) ^ old) >> 27) as u32;
         f64::from(word.rotate_right((old >> 59) as u32)) / 4_294_967_296.0
     }
@@ -76,7 +78,13 @@ impl Random {
 
 impl Sensor {
     /// Codes of linear light (1 clips), row-major.
-    pub fn develop(&self, width: usize, height: usize, light: &[[f64; 3]], seed: u64) -> Vec<[u8; 3]> {
+    pub fn develop(
+        &self,
+        width: usize,
+        height: usize,
+        light: &[[f64; 3]],
+        seed: u64,
+    ) -> Vec<[u8; 3]> {
         let mut random = Random(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
         let mut codes: Vec<[f64; 3]> = light
             .iter()
@@ -120,7 +128,11 @@ impl Sensor {
         for (i, code) in codes.iter_mut().enumerate() {
             // Planes hold whole numbers in 8 bits.
             let [y, cb, cr] = [0, 1, 2].map(|c| planes[c][i].round());
-            *code = [y + 1.402 * cr, y - 0.344_136 * cb - 0.714_136 * cr, y + 1.772 * cb];
+            *code = [
+                y + 1.402 * cr,
+                y - 0.344_136 * cb - 0.714_136 * cr,
+                y + 1.772 * cb,
+            ];
         }
     }
 }
@@ -129,9 +141,8 @@ impl Sensor {
 fn halve(width: usize, height: usize, plane: &mut [f64]) {
     for y in (0..height).step_by(2) {
         for x in (0..width).step_by(2) {
-            let corners = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| {
-                (x + dx).min(width - 1) + width * (y + dy).min(height - 1)
-            });
+            let corners = [(0, 0), (1, 0), (0, 1), (1, 1)]
+                .map(|(dx, dy)| (x + dx).min(width - 1) + width * (y + dy).min(height - 1));
             let mean = corners.iter().map(|&i| plane[i]).sum::<f64>() / 4.0;
             corners.iter().for_each(|&i| plane[i] = mean);
         }
@@ -150,7 +161,8 @@ fn quantise(width: usize, height: usize, plane: &mut [f64], step: f64) {
     });
     for by in (0..height).step_by(N) {
         for bx in (0..width).step_by(N) {
-            let at = |x: usize, y: usize| (bx + x).min(width - 1) + width * (by + y).min(height - 1);
+            let at =
+                |x: usize, y: usize| (bx + x).min(width - 1) + width * (by + y).min(height - 1);
             let mut block = [[0.0; N]; N];
             for (v, row) in block.iter_mut().enumerate() {
                 for (u, coefficient) in row.iter_mut().enumerate() {
@@ -197,23 +209,51 @@ mod tests {
 
     #[test]
     fn noise_has_the_size_that_physics_says() {
-        let sensor = Sensor { half_colour: false, quantiser: 0.0, ..Sensor::default() };
+        let sensor = Sensor {
+            half_colour: false,
+            quantiser: 0.0,
+            ..Sensor::default()
+        };
         let codes = sensor.develop(100, 100, &vec![[0.5; 3]; 10_000], 7);
         let mean = codes.iter().map(|c| f64::from(c[1])).sum::<f64>() / 1e4;
-        let variance = codes.iter().map(|c| (f64::from(c[1]) - mean).powi(2)).sum::<f64>() / 1e4;
+        let variance = codes
+            .iter()
+            .map(|c| (f64::from(c[1]) - mean).powi(2))
+            .sum::<f64>()
+            / 1e4;
         // σ of light is √(0.5/8000); the curve's slope there is 0.68, and rounding adds 1/12.
         let expected = (255.0 * 0.68 * (0.5_f64 / 8000.0).sqrt()).powi(2) + 1.0 / 12.0;
-        assert!((variance / expected - 1.0).abs() < 0.1, "{variance} {expected}");
+        assert!(
+            (variance / expected - 1.0).abs() < 0.1,
+            "{variance} {expected}"
+        );
     }
 
     #[test]
     fn coding_keeps_the_mean_and_loses_the_detail() {
-        let sensor = Sensor { full_well: 0.0, quantiser: 12.0, ..Sensor::default() };
+        let sensor = Sensor {
+            full_well: 0.0,
+            quantiser: 12.0,
+            ..Sensor::default()
+        };
         let light: Vec<[f64; 3]> = (0..64 * 64)
-            .map(|i| [0.3 + 0.02 * f64::from(i % 2), 0.3, 0.2 + 0.001 * f64::from(i % 64)])
+            .map(|i| {
+                [
+                    0.3 + 0.02 * f64::from(i % 2),
+                    0.3,
+                    0.2 + 0.001 * f64::from(i % 64),
+                ]
+            })
             .collect();
-        let plain = Sensor { half_colour: false, quantiser: 0.0, ..sensor };
-        let (a, b) = (sensor.develop(64, 64, &light, 1), plain.develop(64, 64, &light, 1));
+        let plain = Sensor {
+            half_colour: false,
+            quantiser: 0.0,
+            ..sensor
+        };
+        let (a, b) = (
+            sensor.develop(64, 64, &light, 1),
+            plain.develop(64, 64, &light, 1),
+        );
         assert_ne!(a, b);
         let mean = |codes: &[[u8; 3]], c: usize| {
             codes.iter().map(|z| f64::from(z[c])).sum::<f64>() / codes.len() as f64

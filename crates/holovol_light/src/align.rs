@@ -13,7 +13,9 @@ pub enum AlignError {
     #[error("{0} pairs of directions; point at 2 lights or more")]
     TooFew(usize),
     /// All directions lie on one line.
-    #[error("the lights lie in one direction (or opposite ones); point at lights apart from each other")]
+    #[error(
+        "the lights lie in one direction (or opposite ones); point at lights apart from each other"
+    )]
     Collinear,
 }
 
@@ -30,7 +32,10 @@ pub fn rotation_from_directions(pairs: &[(DVec3, DVec3, f64)]) -> Result<DQuat, 
     }
     let spread = pairs.iter().any(|(a, ..)| {
         let first = pairs[0].0;
-        a.normalize_or_zero().cross(first.normalize_or_zero()).length() > 0.02
+        a.normalize_or_zero()
+            .cross(first.normalize_or_zero())
+            .length()
+            > 0.02
     });
     if !spread {
         return Err(AlignError::Collinear);
@@ -71,7 +76,9 @@ pub fn rotation_from_directions(pairs: &[(DVec3, DVec3, f64)]) -> Result<DQuat, 
             }
         }
         let a = q.to_array();
-        let gain: f64 = (0..4).map(|i| (0..4).map(|j| a[i] * rows[i][j] * a[j]).sum::<f64>()).sum();
+        let gain: f64 = (0..4)
+            .map(|i| (0..4).map(|j| a[i] * rows[i][j] * a[j]).sum::<f64>())
+            .sum();
         if gain > best.0 {
             best = (gain, q);
         }
@@ -167,15 +174,25 @@ mod tests {
     #[test]
     fn wahba_finds_the_rotation_back() {
         let truth = DQuat::from_euler(glam::EulerRot::YXZ, 2.9, -0.4, 0.2);
-        let lights = [DVec3::new(0.3, 0.8, -0.5), DVec3::new(-0.9, 0.1, 0.2), DVec3::new(0.0, 0.5, 1.0)];
+        let lights = [
+            DVec3::new(0.3, 0.8, -0.5),
+            DVec3::new(-0.9, 0.1, 0.2),
+            DVec3::new(0.0, 0.5, 1.0),
+        ];
         for count in [2, 3] {
-            let pairs: Vec<_> = lights[..count].iter().map(|&d| (d, truth * d, 1.0)).collect();
+            let pairs: Vec<_> = lights[..count]
+                .iter()
+                .map(|&d| (d, truth * d, 1.0))
+                .collect();
             let found = rotation_from_directions(&pairs).unwrap();
             assert!(found.angle_between(truth) < 1e-6, "{count}: {found}");
         }
         let one = (DVec3::X, DVec3::Y, 1.0);
         assert_eq!(rotation_from_directions(&[one]), Err(AlignError::TooFew(1)));
-        assert_eq!(rotation_from_directions(&[one, one]), Err(AlignError::Collinear));
+        assert_eq!(
+            rotation_from_directions(&[one, one]),
+            Err(AlignError::Collinear)
+        );
     }
 
     #[test]
@@ -183,7 +200,10 @@ mod tests {
         let proxy = Proxy::Sphere(3.0);
         let hit = proxy.hit(DVec3::new(1.0, 0.0, 0.0), DVec3::NEG_Z);
         assert!((hit.length() - 3.0).abs() < 1e-12 && (hit.x - 1.0).abs() < 1e-12);
-        let room = Proxy::Box { low: DVec3::new(-2.0, -1.0, -3.0), high: DVec3::new(2.0, 1.5, 3.0) };
+        let room = Proxy::Box {
+            low: DVec3::new(-2.0, -1.0, -3.0),
+            high: DVec3::new(2.0, 1.5, 3.0),
+        };
         assert!((room.hit(DVec3::ZERO, DVec3::Y) - DVec3::new(0.0, 1.5, 0.0)).length() < 1e-12);
         // A bright texel above the camera is seen behind once we are in front of it.
         let (width, height) = (64, 32);
@@ -196,6 +216,9 @@ mod tests {
         let towards = DVec3::new(0.0, 1.5, 1.5).normalize();
         assert!(moved.radiance(towards)[0] > 50.0);
         assert!(moved.radiance(DVec3::Y)[0] < 1.0);
-        assert_eq!(recentre(&map, proxy, DVec3::ZERO).radiance(DVec3::NEG_Z), map.radiance(DVec3::NEG_Z));
+        assert_eq!(
+            recentre(&map, proxy, DVec3::ZERO).radiance(DVec3::NEG_Z),
+            map.radiance(DVec3::NEG_Z)
+        );
     }
 }

@@ -96,7 +96,11 @@ impl LightChain {
         }
         /// Exposures nearer than this are the same setting, EV.
         const SAME: f64 = 0.5;
-        match self.kept.iter_mut().find(|kept| (kept.ev - ev).abs() < SAME || kept.age > 2 * OLDEST) {
+        match self
+            .kept
+            .iter_mut()
+            .find(|kept| (kept.ev - ev).abs() < SAME || kept.age > 2 * OLDEST)
+        {
             Some(kept) => {
                 kept.radiance.copy_from_slice(frame);
                 (kept.ev, kept.age) = (ev, 0);
@@ -109,7 +113,10 @@ impl LightChain {
         }
         self.kept.sort_by(|a, b| b.ev.total_cmp(&a.ev));
         // Up to four exposures without allocating: more than any camera alternates.
-        const EMPTY: Exposure = Exposure { ev: 0.0, radiance: &[] };
+        const EMPTY: Exposure = Exposure {
+            ev: 0.0,
+            radiance: &[],
+        };
         let mut exposures = [EMPTY; 4];
         let mut count = 0;
         for kept in self.kept.iter().filter(|kept| kept.age <= OLDEST).take(4) {
@@ -125,8 +132,12 @@ impl LightChain {
             probe: None,
         });
         // The estimator's unit is EV 0 already: exposures are absolute.
-        self.filter
-            .update(self.estimator.radiance(), self.estimator.lights(), seconds, 0.0);
+        self.filter.update(
+            self.estimator.radiance(),
+            self.estimator.lights(),
+            seconds,
+            0.0,
+        );
         let grid = self.estimator.grid();
         let change = self
             .change

@@ -16,11 +16,12 @@ const FLOOR: f64 = 0.02;
 const C1: f64 = 0.3 * 0.3;
 /// Structure below this spread, EV, is noise.
 const C2: f64 = 2.0 * 0.15 * 0.15;
-/// A patch that changes the irradiance of a surface that faces it by less than this share of the
-/// mean irradiance is left out.
+/// A patch that gives a surface which faces it less than this share of the mean irradiance can't
+/// change it by more, and is left out.
 const SMALLEST: f64 = 0.01;
-/// A patch that changes it by this share counts in full, one that changes less in proportion.
-const FULL: f64 = 0.1;
+/// A patch that changes irradiance by this share counts in full, one that changes it by less in
+/// proportion.
+const FULL: f64 = 0.06;
 
 /// Compares each frame's light with the last one's; allocates nothing after the first.
 ///
@@ -33,6 +34,7 @@ pub struct ChangeDetector {
     flux: [Vec<f64>; 2],
     log: [Vec<f64>; 2],
     solid_angles: Vec<f64>,
+    floor: f64,
     newest: usize,
     frames: usize,
 }
@@ -52,6 +54,7 @@ impl ChangeDetector {
             flux: [zeros(), zeros()],
             log: [zeros(), zeros()],
             solid_angles: (0..SIDE).map(|y| f64::from(grid.solid_angle(y))).collect(),
+            floor: 0.0,
             newest: 0,
             frames: 0,
         }
@@ -81,10 +84,13 @@ impl ChangeDetector {
     }
 
     fn patch_change(&self, corner: usize, all: f64) -> f64 {
-        let (mut moved, mut sums) = (0.0, [0.0; 5]);
+        let (mut moved, mut sums, mut fluxes) = (0.0, [0.0; 5], [0.0; 2]);
         for y in 0..CELLS {
             for i in corner + y * SIDE..corner + y * SIDE + CELLS {
-                moved += (self.flux[0][i] - self.flux[1][i]).abs();
+                let (flux, other) = (self.flux[0][i], self.flux[1][i]);
+                moved += (flux - other).abs();
+                fluxes[0] += flux;
+                fluxes[1] += other;
                 let (a, b) = (self.log[0][i], self.log[1][i]);
                 for (sum, term) in sums.iter_mut().zip([a, b, a * a, b * b, a * b]) {
                     *sum += term;
@@ -92,10 +98,10 @@ impl ChangeDetector {
             }
         }
         // Mean irradiance is a quarter of all flux.
-        let share = 4.0 * moved / all;
-        if share < SMALLEST {
+        if 4.0 * fluxes[0].max(fluxes[1]) / all < SMALLEST {
             return 0.0;
         }
+        let share = 4.0 * moved / all;
         let [a, b, aa, bb, ab] = sums.map(|sum| sum / (CELLS * CELLS) as f64);
         let (va, vb, covariance) = (aa - a * a, bb - b * b, ab - a * b);
         let means = C1 / ((a - b).powi(2) + C1);
@@ -134,23 +140,27 @@ impl ChangeDetector {
             flux[cell_of(light.direction)] += luminance(light.irradiance);
         }
         let total: f64 = flux.iter().sum();
-        let floor = FLOOR * total / (4.0 * std::f64::consts::PI);
-        // Both frames' logs share one floor, so that a change elsewhere changes no patch.
-        let floor = if self.frames == 0 { floor } else { self.floor_of(1 - now).min(floor) };
-        let floor = floor.max(1e-12);
-        for k in 0..2 {
-            for y in 0..SIDE {
-                let per_sr = 1.0 / self.solid_angles[y];
-                let cells = y * SIDE..(y + 1) * SIDE;
-                for (log, flux) in self.log[k][cells.clone()].iter_mut().zip(&self.flux[k][cells]) {
-                    *log = f64::from(((flux * per_sr + floor) as f32).log2());
-                }
-            }
+        let mean = total / (4.0 * std::f64::consts::PI);
+        // Both frames' logs share a floor. It follows the light only when that has become another,
+        // so that as a rule the old frame's logs stay.
+        let usual = self.floor * 0.5..=self.floor * 2.0;
+        if usual.contains(&(FLOOR * mean)) && self.floor > 0.0 {
+            self.take_logs(now);
+        } else {
+            self.floor = (FLOOR * mean).max(1e-12);
+            self.take_logs(0);
+            self.take_logs(1);
         }
     }
 
-    fn floor_of(&self, frame: usize) -> f64 {
-        FLOOR * self.flux[frame].iter().sum::<f64>() / (4.0 * std::f64::consts::PI)
+    fn take_logs(&mut self, frame: usize) {
+        let rows = self.log[frame].chunks_exact_mut(SIDE);
+        let rows = rows.zip(self.flux[frame].chunks_exact(SIDE));
+        for ((logs, fluxes), solid_angle) in rows.zip(&self.solid_angles) {
+            for (log, flux) in logs.iter_mut().zip(fluxes) {
+                *log = f64::from(((flux / solid_angle + self.floor) as f32).log2());
+            }
+        }
     }
 }
 
@@ -174,7 +184,10 @@ mod tests {
         fn next(&mut self) -> f32 {
             let mut sum = 0.0;
             for _ in 0..4 {
-                self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+                self.0 = self
+                    .0
+                    .wrapping_mul(6364136223846793005)
+                    .wrapping_add(1442695040888963407);
                 sum += (self.0 >> 40) as f32 / (1u64 << 24) as f32 - 0.5;
             }
             sum * 1.7
@@ -187,7 +200,8 @@ mod tests {
         (0..WIDTH * HEIGHT)
             .map(|i| {
                 let (x, y) = (i % WIDTH, i / WIDTH);
-                let mut l = 0.2 + 0.1 * ((x / 9 + y / 7) % 3) as f32 + 0.4 * (1.0 - y as f32 / 128.0);
+                let mut l =
+                    0.2 + 0.1 * ((x / 9 + y / 7) % 3) as f32 + 0.4 * (1.0 - y as f32 / 128.0);
                 if person.is_some_and(|at| (at..at + 14).contains(&x) && (48..90).contains(&y)) {
                     l = 0.12;
                 }
@@ -224,11 +238,16 @@ mod tests {
 
     #[test]
     fn nothing_noise_and_compensated_exposure_are_no_change() {
-        assert_eq!(change(&room(20.0, None, None), &room(20.0, None, None)), 0.0);
+        assert_eq!(
+            change(&room(20.0, None, None), &room(20.0, None, None)),
+            0.0
+        );
         assert!(change(&room(20.0, None, Some(1)), &room(20.0, None, Some(2))) < 0.05);
         // 3 % is what an exposure tag may be off.
-        let brighter: Vec<[f32; 3]> =
-            room(20.0, None, None).iter().map(|t| t.map(|c| c * 1.03)).collect();
+        let brighter: Vec<[f32; 3]> = room(20.0, None, None)
+            .iter()
+            .map(|t| t.map(|c| c * 1.03))
+            .collect();
         assert!(change(&room(20.0, None, None), &brighter) < 0.05);
     }
 

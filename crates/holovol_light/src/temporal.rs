@@ -91,19 +91,20 @@ impl TemporalFilter {
     }
 
     fn blend_map(&mut self, radiance: &[[f32; 3]], scale: f32, seconds: f64) {
-        let width = self.grid.width();
-        let block = |x: usize, y: usize, height: usize| {
-            x * BLOCKS[0] / width + BLOCKS[0] * (y * BLOCKS[1] / height)
-        };
-        let height = self.grid.height();
+        let (width, height) = (self.grid.width(), self.grid.height());
+        // Texels of a row from which a block's columns begin.
+        let edge = |block: usize| block * width / BLOCKS[0];
+        let block_row = |y: usize| (y * BLOCKS[1] / height) * BLOCKS[0];
         self.means.fill([0.0; 2]);
         for y in 0..height {
             let row = y * width..(y + 1) * width;
-            let texels = radiance[row.clone()].iter().zip(&self.map[row]);
-            for (x, (new, old)) in texels.enumerate() {
-                let mean = &mut self.means[block(x, y, height)];
-                mean[0] += f64::from(scale * (new[0] + new[1] + new[2]));
-                mean[1] += f64::from(old[0] + old[1] + old[2]);
+            let (new, old) = (&radiance[row.clone()], &self.map[row]);
+            for b in 0..BLOCKS[0] {
+                let columns = edge(b)..edge(b + 1);
+                let sum = |texels: &[[f32; 3]]| texels.as_flattened().iter().sum::<f32>();
+                let mean = &mut self.means[block_row(y) + b];
+                mean[0] += f64::from(scale * sum(&new[columns.clone()]));
+                mean[1] += f64::from(sum(&old[columns]));
             }
         }
         let rate = 1.0 - (-seconds.max(0.0) / MAP_SECONDS).exp();
@@ -114,11 +115,13 @@ impl TemporalFilter {
         }
         for y in 0..height {
             let row = y * width..(y + 1) * width;
-            let texels = radiance[row.clone()].iter().zip(&mut self.map[row]);
-            for (x, (new, old)) in texels.enumerate() {
-                let rate = self.means[block(x, y, height)][0] as f32;
-                for c in 0..3 {
-                    old[c] += rate * (scale * new[c] - old[c]);
+            let (new, old) = (&radiance[row.clone()], &mut self.map[row]);
+            for b in 0..BLOCKS[0] {
+                let columns = edge(b)..edge(b + 1);
+                let rate = self.means[block_row(y) + b][0] as f32;
+                let old = old[columns.clone()].as_flattened_mut();
+                for (old, new) in old.iter_mut().zip(new[columns].as_flattened()) {
+                    *old += rate * (scale * new - *old);
                 }
             }
         }
@@ -178,14 +181,17 @@ impl TemporalFilter {
             let [u, v] = crate::EnvironmentMap::uv_from_direction(direction);
             let x = ((u * grid.width() as f64) as usize).min(grid.width() - 1);
             let y = ((v * grid.height() as f64) as usize).min(grid.height() - 1);
-            map[x + grid.width() * y].iter().all(|&c| c < 0.5 * scale as f32)
+            map[x + grid.width() * y]
+                .iter()
+                .all(|&c| c < 0.5 * scale as f32)
         };
         let (map, grid) = (&self.map, &self.grid);
         self.tracks.retain(|track| {
             track.unseen < FORGET && !(track.unseen > 0.0 && dark(track.light.direction, map, grid))
         });
         self.lights.clear();
-        self.lights.extend(self.tracks.iter().map(|track| track.light));
+        self.lights
+            .extend(self.tracks.iter().map(|track| track.light));
     }
 }
 
@@ -239,11 +245,20 @@ mod tests {
         let (mut flux, mut count) = (Vec::new(), Vec::new());
         for &(lamp, ev, wobble) in frames {
             let picture = picture(lamp, ev, wobble);
-            let frames = [Exposure { ev: 0.0, radiance: &picture }];
-            estimator.estimate(&Evidence { frames: &frames, ..Default::default() });
+            let frames = [Exposure {
+                ev: 0.0,
+                radiance: &picture,
+            }];
+            estimator.estimate(&Evidence {
+                frames: &frames,
+                ..Default::default()
+            });
             filter.update(estimator.radiance(), estimator.lights(), 1.0 / 30.0, ev);
             let map = crate::measure::luminous_flux(estimator.grid(), filter.radiance());
-            let discs = filter.lights().iter().map(|light| luminance(light.irradiance));
+            let discs = filter
+                .lights()
+                .iter()
+                .map(|light| luminance(light.irradiance));
             flux.push(map + discs.sum::<f64>());
             count.push(filter.lights().len());
         }
@@ -252,7 +267,13 @@ mod tests {
 
     #[test]
     fn a_switch_goes_through_in_one_frame_both_ways() {
-        let (flux, count) = run(&[(0.2, 0.0, 0.0), (0.2, 0.0, 0.0), (50.0, 0.0, 0.0), (50.0, 0.0, 0.0), (0.2, 0.0, 0.0)]);
+        let (flux, count) = run(&[
+            (0.2, 0.0, 0.0),
+            (0.2, 0.0, 0.0),
+            (50.0, 0.0, 0.0),
+            (50.0, 0.0, 0.0),
+            (0.2, 0.0, 0.0),
+        ]);
         assert_eq!(count, [0, 0, 1, 1, 0]);
         assert!(flux[2] > 1.01 * flux[1]);
         assert!((flux[2] / flux[3] - 1.0).abs() < 0.05, "{flux:?}");
@@ -264,14 +285,21 @@ mod tests {
         let frames: Vec<_> = (0..40).map(|i| (50.0, 0.0, wobble(i))).collect();
         let (flux, _) = run(&frames);
         let late = &flux[20..];
-        let spread = late.iter().fold((f64::MAX, f64::MIN), |(a, b), &f| (a.min(f), b.max(f)));
+        let spread = late
+            .iter()
+            .fold((f64::MAX, f64::MIN), |(a, b), &f| (a.min(f), b.max(f)));
         assert!(spread.1 / spread.0 < 1.03, "{spread:?}");
     }
 
     #[test]
     fn the_camera_s_exposure_is_not_the_light_s() {
         // The lamp clips throughout; only its tagged exposure changes.
-        let (flux, _) = run(&[(0.2, 0.0, 0.0), (0.2, 0.0, 0.0), (0.2, -1.0, 0.0), (0.2, 1.0, 0.0)]);
+        let (flux, _) = run(&[
+            (0.2, 0.0, 0.0),
+            (0.2, 0.0, 0.0),
+            (0.2, -1.0, 0.0),
+            (0.2, 1.0, 0.0),
+        ]);
         for pair in flux.windows(2) {
             assert!((pair[1] / pair[0] - 1.0).abs() < 0.02, "{flux:?}");
         }

@@ -341,7 +341,10 @@ fn markdown(report: &Report, page: &mut String) -> std::fmt::Result {
         100.0 * path.seam,
         path.stitch_milliseconds_1440
     )?;
-    writeln!(page, "\n## Change of illumination, T\n\n| event | expected | least | median | most |\n|---|---|---|---|---|")?;
+    writeln!(
+        page,
+        "\n## Change of illumination, T\n\n| event | expected | least | median | most |\n|---|---|---|---|---|"
+    )?;
     for change in &report.changes {
         writeln!(
             page,

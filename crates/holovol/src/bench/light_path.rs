@@ -39,7 +39,13 @@ fn camera(pose: DQuat) -> VirtualCamera {
     let edge = EDGE_DEG.to_radians();
     VirtualCamera {
         size: PICTURE,
-        lenses: [0, 1].map(|_| VirtualLens::Mei { xi, focal, k, p, edge }),
+        lenses: [0, 1].map(|_| VirtualLens::Mei {
+            xi,
+            focal,
+            k,
+            p,
+            edge,
+        }),
         tilts: [
             DQuat::from_euler(glam::EulerRot::XYZ, 0.01, -0.02, 0.015),
             DQuat::from_euler(glam::EulerRot::XYZ, -0.015, 0.01, -0.02),
@@ -63,7 +69,10 @@ fn calibration(camera: &VirtualCamera, size: usize) -> Calibration {
             projection: LensModel::Mei {
                 xi,
                 focal: [focal * half; 2],
-                centre: [half * (1.0 + camera.shifts[i].x), half * (1.0 + camera.shifts[i].y)],
+                centre: [
+                    half * (1.0 + camera.shifts[i].x),
+                    half * (1.0 + camera.shifts[i].y),
+                ],
                 k,
                 p,
                 fov_deg: 2.0 * EDGE_DEG,
@@ -109,13 +118,22 @@ fn through_camera(case: &Case, prior: Prior, seed: u64) -> Result<LightError512,
     let pose = DQuat::from_euler(glam::EulerRot::YXZ, 0.7 + seed as f64, 0.15, -0.1);
     let camera = camera(pose);
     let shots = camera
-        .shoot(&case.map, &[Shutter::Fixed(0.0), Shutter::Fixed(-6.0)], seed)
+        .shoot(
+            &case.map,
+            &[Shutter::Fixed(0.0), Shutter::Fixed(-6.0)],
+            seed,
+        )
         .map_err(|error| error.to_string())?;
     let calibration = calibration(&camera, PICTURE);
     let mut panoramas = Vec::new();
     for shot in &shots {
-        let mut stitcher = Stitcher::new(&calibration, PANORAMA[0], PANORAMA[1], DMat3::from_quat(pose))
-            .map_err(|error| error.to_string())?;
+        let mut stitcher = Stitcher::new(
+            &calibration,
+            PANORAMA[0],
+            PANORAMA[1],
+            DMat3::from_quat(pose),
+        )
+        .map_err(|error| error.to_string())?;
         let mut out = vec![[0.0; 3]; PANORAMA[0] * PANORAMA[1]];
         let pictures = [&shot.pictures[0][..], &shot.pictures[1][..]];
         stitcher
@@ -143,7 +161,8 @@ pub(super) fn end_to_end(maps: &[EnvironmentMap], priors: &[Prior]) -> Result<En
         direct.push(case.error(&cells_of(&estimator)));
         through.push(through_camera(&case, prior, i as u64)?);
     }
-    let rmse = |errors: &[LightError512]| median(errors.iter().map(|e| e.irradiance_rmse).collect());
+    let rmse =
+        |errors: &[LightError512]| median(errors.iter().map(|e| e.irradiance_rmse).collect());
     let bias = |errors: &[LightError512]| median(errors.iter().map(|e| e.ev_bias.abs()).collect());
     Ok(EndToEnd {
         direct_rmse: rmse(&direct),
@@ -166,7 +185,11 @@ fn seam() -> Result<f64, String> {
         ..camera(DQuat::IDENTITY)
     };
     let shot = camera
-        .shoot(&EnvironmentMap::constant([0.4; 3]), &[Shutter::Fixed(0.0)], 1)
+        .shoot(
+            &EnvironmentMap::constant([0.4; 3]),
+            &[Shutter::Fixed(0.0)],
+            1,
+        )
         .map_err(|error| error.to_string())?
         .remove(0);
     let calibration = calibration(&camera, PICTURE);
@@ -178,9 +201,14 @@ fn seam() -> Result<f64, String> {
         .stitch(&FisheyePair { pictures }, &mut out)
         .map_err(|error| error.to_string())?;
     let cells = FluxCells::from_texels(&Grid::new(PANORAMA[0], PANORAMA[1]), &out);
-    let all: Vec<f64> = normals(512).map(|n| luminance(cells.irradiance(n))).collect();
+    let all: Vec<f64> = normals(512)
+        .map(|n| luminance(cells.irradiance(n)))
+        .collect();
     let mean = all.iter().sum::<f64>() / all.len() as f64;
-    Ok(all.iter().map(|e| (e / mean - 1.0).abs()).fold(0.0, f64::max))
+    Ok(all
+        .iter()
+        .map(|e| (e / mean - 1.0).abs())
+        .fold(0.0, f64::max))
 }
 
 /// Milliseconds to stitch a pair of 1440² pictures.
@@ -195,7 +223,12 @@ fn time_stitch() -> Result<f64, String> {
     for _ in 0..40 {
         let started = std::time::Instant::now();
         stitcher
-            .stitch(&FisheyePair { pictures: [&picture, &picture] }, &mut out)
+            .stitch(
+                &FisheyePair {
+                    pictures: [&picture, &picture],
+                },
+                &mut out,
+            )
             .map_err(|error| error.to_string())?;
         times.push(started.elapsed().as_secs_f64() * 1e3);
     }
@@ -214,34 +247,47 @@ pub(super) struct Change {
 
 /// Measures T (DESIGN §6) for what may happen between two frames of each panorama.
 pub(super) fn changes(maps: &[EnvironmentMap]) -> Vec<Change> {
-    let events: [(&'static str, &'static str, fn(&[[f32; 3]], Grid2) -> Option<Vec<[f32; 3]>>); 6] = [
+    let events: [(
+        &'static str,
+        &'static str,
+        fn(&[[f32; 3]], Grid2) -> Option<Vec<[f32; 3]>>,
+    ); 6] = [
         ("nothing", "0", |texels, _| Some(texels.to_vec())),
         ("sensor noise", "< 0.05", |texels, _| Some(noisy(texels))),
-        ("exposure change, compensated to 2 %", "< 0.05", |texels, _| {
-            Some(texels.iter().map(|t| t.map(|c| c * 1.02)).collect())
+        (
+            "exposure change, compensated to 2 %",
+            "< 0.05",
+            |texels, _| Some(texels.iter().map(|t| t.map(|c| c * 1.02)).collect()),
+        ),
+        ("a person walks by", "0.05 … 0.5", |texels, size| {
+            Some(person(texels, size, 13))
         }),
-        ("a person walks by", "0.05 … 0.5", |texels, size| Some(person(texels, size, 13))),
         ("the sun moves by 10°", "> 0.5", moved_sun),
-        ("a lamp goes on", "> 0.8", |texels, size| Some(lamp(texels, size))),
+        ("a lamp goes on", "> 0.8", |texels, size| {
+            Some(lamp(texels, size))
+        }),
     ];
     events
         .into_iter()
         .map(|(event, expected, after)| {
-            let mut all: Vec<f64> = maps.iter().filter_map(|map| {
-                let size = [map.width(), map.height()];
-                let grid = Grid::new(size[0], size[1]);
-                let mut before = map.texels().to_vec();
-                if event == "a person walks by" {
-                    before = person(&before, size, 0);
-                } else if event == "sensor noise" {
-                    before = noisy(&before.iter().rev().copied().collect::<Vec<_>>());
-                    before.reverse();
-                }
-                let after = after(map.texels(), size)?;
-                let mut detector = ChangeDetector::new();
-                detector.update(&grid, &before, &[]);
-                Some(detector.update(&grid, &after, &[]))
-            }).collect();
+            let mut all: Vec<f64> = maps
+                .iter()
+                .filter_map(|map| {
+                    let size = [map.width(), map.height()];
+                    let grid = Grid::new(size[0], size[1]);
+                    let mut before = map.texels().to_vec();
+                    if event == "a person walks by" {
+                        before = person(&before, size, 0);
+                    } else if event == "sensor noise" {
+                        before = noisy(&before.iter().rev().copied().collect::<Vec<_>>());
+                        before.reverse();
+                    }
+                    let after = after(map.texels(), size)?;
+                    let mut detector = ChangeDetector::new();
+                    detector.update(&grid, &before, &[]);
+                    Some(detector.update(&grid, &after, &[]))
+                })
+                .collect();
             all.sort_by(f64::total_cmp);
             Change {
                 event,
@@ -261,20 +307,25 @@ type Grid2 = [usize; 2];
 fn noisy(texels: &[[f32; 3]]) -> Vec<[f32; 3]> {
     let mut state = 0x1234_5678_9abc_def1_u64;
     let mut uniform = || {
-        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        state = state
+            .wrapping_mul(6364136223846793005)
+            .wrapping_add(1442695040888963407);
         (state >> 40) as f32 / (1u64 << 24) as f32 - 0.5
     };
     let mean = texels.iter().map(|t| t[1].min(1.0)).sum::<f32>() / texels.len() as f32;
     let noise = |c: f32, u: f32| (c * (1.0 + 0.07 * u) + 0.02 * mean * u).max(0.0);
-    texels.iter().map(|t| t.map(|c| noise(c, uniform()))).collect()
+    texels
+        .iter()
+        .map(|t| t.map(|c| noise(c, uniform())))
+        .collect()
 }
 
-/// A dark figure, 9° wide and 60° tall, `step` texels of 1024 along.
+/// A dark figure, 20° wide and 60° tall, `step` texels of 1024 along.
 fn person(texels: &[[f32; 3]], [width, height]: Grid2, step: usize) -> Vec<[f32; 3]> {
     let left = width / 3 + step * width / 1024;
     let mut out = texels.to_vec();
-    for y in height * 4 / 10..height * 7 / 10 {
-        for x in left..left + width / 40 {
+    for y in height * 37 / 100..height * 70 / 100 {
+        for x in left..left + width / 18 {
             out[(x % width) + width * y] = [0.05; 3];
         }
     }

@@ -8,6 +8,8 @@ mod prior;
 mod regions;
 mod resolve;
 mod sky;
+#[cfg(test)]
+mod tests;
 
 use std::f64::consts::{LN_2, PI};
 

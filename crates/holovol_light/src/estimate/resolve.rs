@@ -5,8 +5,8 @@ use glam::DVec3;
 use super::extend::REST;
 use super::regions::Regions;
 use super::{DISC_SOLID_ANGLE, Estimator, Light, LightClass};
-use crate::measure::luminous_flux;
 use crate::luminance;
+use crate::measure::luminous_flux;
 
 /// A texel this many times the mean radiance may be part of a small light.
 const BRIGHT: f64 = 16.0;
@@ -26,7 +26,13 @@ impl Estimator {
         // Texels at twice the level mark a light, those above the level are all of it.
         self.marks.clear();
         let marks = self.radiance.iter();
-        let marks = marks.map(|texel| if brightest(texel) >= 2.0 * level { 7 } else { 0 });
+        let marks = marks.map(|texel| {
+            if brightest(texel) >= 2.0 * level {
+                7
+            } else {
+                0
+            }
+        });
         self.marks.extend(marks);
         if !(level > 0.0) || self.marks.iter().all(|&mark| mark == 0) {
             return;
@@ -38,7 +44,8 @@ impl Estimator {
             let lit = region.core > 0.0 && f64::from(region.halo) < DISC_SOLID_ANGLE;
             lit.then_some(i as u32)
         };
-        self.order.extend(found.regions.iter().enumerate().filter_map(small));
+        self.order
+            .extend(found.regions.iter().enumerate().filter_map(small));
         self.take_out(&found, level, SMALLEST_SHARE * flux);
         self.bright = found;
         self.lights
@@ -49,7 +56,8 @@ impl Estimator {
         let width = self.grid.width();
         // What each region has above the level, and where it is.
         self.above.clear();
-        self.above.resize(found.regions.len(), ([0.0; 3], DVec3::ZERO));
+        self.above
+            .resize(found.regions.len(), ([0.0; 3], DVec3::ZERO));
         for run in &found.runs {
             let y = run.y as usize;
             let solid_angle = f64::from(self.grid.solid_angle(y));

@@ -230,6 +230,8 @@ fn solve(
             .zip(residuals)
             .map(|(x, r)| x * r)
             .sum::<f64>();
+        a[i][i] += weights[i];
+        a[i][N] -= weights[i] * parameters[i];
     }
     for (i, row) in a.iter_mut().enumerate() {
         row[i] = row[i] * (1.0 + damping) + 1e-9;
@@ -272,9 +274,8 @@ impl Blurred {
             f32::from(u8::from((at - centre).length() <= edge))
         };
         let mut weights: Vec<f32> = (0..picture.len()).map(inside).collect();
-        let log = |(pixel, weight): (&[u8; 3], &f32)| {
-            weight * (table[usize::from(pixel[1])] + 0.01).ln()
-        };
+        let log =
+            |(pixel, weight): (&[u8; 3], &f32)| weight * (table[usize::from(pixel[1])] + 0.01).ln();
         let mut values: Vec<f32> = picture.iter().zip(&weights).map(log).collect();
         let mut line = Vec::new();
         for plane in [&mut values, &mut weights] {
@@ -288,7 +289,11 @@ impl Blurred {
             }
         }
         for (value, weight) in values.iter_mut().zip(&weights) {
-            *value = if *weight > 0.05 { *value / weight } else { f32::NAN };
+            *value = if *weight > 0.05 {
+                *value / weight
+            } else {
+                f32::NAN
+            };
         }
         Self {
             width,

@@ -16,7 +16,9 @@ const GAIN_SIGMA: f64 = 0.1;
 /// Spread of the overlap's radiance that is not the gain's.
 const OVERLAP_SIGMA: f64 = 0.04;
 /// Directions over the whole sphere of which those in the overlap are compared.
-const OVERLAP_SAMPLES: usize = 40_000;
+const OVERLAP_SAMPLES: usize = 20_000;
+/// Codes from here on are clipped.
+const CLIPPED_CODE: u8 = 253;
 /// Share of a new frame's gain that is taken over at once.
 const GAIN_RATE: f32 = 0.1;
 
@@ -27,21 +29,43 @@ pub struct FisheyePair<'a> {
     pub pictures: [&'a [[u8; 3]]; 2],
 }
 
-/// Where a panorama's texel finds its light in one lens: the corner of a box of texels.
+/// Where a direction is found in one lens's picture.
 #[derive(Clone, Copy, Debug, Default)]
 struct Tap {
-    /// Index of the upper left of four texels.
+    /// Index of the upper left of four pixels.
     index: u32,
     /// Bilinear weights in 1/256: across, down.
     fraction: [u8; 2],
-    /// Blend weight × correction of vignetting, 0 where this lens is not used.
+    /// What corrects vignetting and the lens's nominal gain.
     weight: f32,
+}
+
+/// What one lens gives to a texel of the panorama.
+#[derive(Clone, Copy, Debug)]
+struct Part {
+    /// Column of the texel.
+    column: u16,
+    lens: u8,
+    /// Bilinear fractions, where the picture is not finer than the panorama.
+    fraction: [u8; 2],
+    /// Blend weight × correction of vignetting and nominal gain, over the number of pixels.
+    weight: f32,
+    /// Blend weight alone: what a clipped part gives at least, whatever its gain.
+    blend: f32,
+}
+
+/// A row of the panorama: its parts, and for each of them `per_part` indices of pixels.
+#[derive(Clone, Debug, Default)]
+struct Row {
+    parts: Vec<Part>,
+    pixels: Vec<u32>,
 }
 
 /// Turns pairs of fisheye pictures into linear panoramas.
 ///
-/// When a panorama's texel covers more than a pixel of the picture, it averages several taps, so
-/// that shrinking does not alias; four per texel suffice up to a scale of 1 : 4.
+/// When a panorama's texel covers more than a pixel of the picture, it averages 4, 9 or 16 pixels
+/// spread over it, so that shrinking up to 1 : 5 or so does not alias; otherwise it interpolates.
+/// Its table has 4 bytes per pixel that is looked at: 9 MB for 512 × 256 from 1440² pictures.
 #[derive(Clone, Debug)]
 pub struct Stitcher {
     width: usize,
@@ -49,9 +73,8 @@ pub struct Stitcher {
     /// Strides of the two pictures.
     strides: [usize; 2],
     lengths: [usize; 2],
-    /// `TAPS` per texel and lens; lens by lens within a texel.
-    taps: Vec<Tap>,
-    per_texel: usize,
+    rows: Vec<Row>,
+    per_part: usize,
     /// Directions that both lenses see well, for the gains: a tap in each, with weights that
     /// correct vignetting only.
     overlap: Vec<[Tap; 2]>,
@@ -61,10 +84,11 @@ pub struct Stitcher {
 }
 
 impl Stitcher {
-    /// Builds the table for panoramas of `width` × `height`, turned by `world_from_camera`.
+    /// Builds the table for panoramas of `width` × `height` (at most 65,535 across), turned by
+    /// `world_from_camera`.
     ///
     /// # Errors
-    /// If the calibration is impossible.
+    /// If the calibration is impossible, or the panorama too wide.
     pub fn new(
         calibration: &Calibration,
         width: usize,
@@ -72,6 +96,12 @@ impl Stitcher {
         world_from_camera: DMat3,
     ) -> Result<Self, CalibrationError> {
         calibration.check()?;
+        if width > usize::from(u16::MAX) {
+            return Err(CalibrationError::Overlap(format!(
+                "a panorama of {width} pixels across, expected at most {}",
+                u16::MAX
+            )));
+        }
         let grid = Grid::new(width.max(1), height.max(1));
         let camera_from_world = world_from_camera.transpose();
         let rotations = calibration.lenses.each_ref().map(|lens| lens.rotation());
@@ -80,59 +110,66 @@ impl Stitcher {
             .lenses
             .each_ref()
             .map(|lens| lens.projection.max_angle() - EDGE);
-        // How many pixels a texel covers decides how many taps it takes.
+        let edges = calibration.lenses.each_ref().map(edge_radius);
+        // How many pixels a texel covers decides how many of them it looks at.
         let texel = std::f64::consts::PI / grid.height() as f64;
-        let density = calibration.lenses.iter().map(|lens| {
-            let radius = edge_radius(lens);
-            radius / lens.projection.max_angle() * texel
-        });
-        let per_texel = match density.fold(0.0, f64::max) {
-            d if d < 1.3 => 1,
+        let density = (0..2)
+            .map(|l| edges[l] / calibration.lenses[l].projection.max_angle() * texel)
+            .fold(0.0, f64::max);
+        let side = match density {
+            d if d < 1.5 => 1,
             d if d < 2.6 => 2,
-            _ => 3,
+            d if d < 3.6 => 3,
+            _ => 4,
         };
-        let per_texel = per_texel * per_texel;
-        let side = (per_texel as f64).sqrt() as usize;
-        let mut taps = vec![Tap::default(); grid.len() * per_texel * 2];
-        let row_taps = grid.width() * per_texel * 2;
-        taps.par_chunks_mut(row_taps.max(1))
-            .enumerate()
-            .for_each(|(y, row)| {
-                for x in 0..grid.width() {
-                    for s in 0..per_texel {
+        let build = |y: usize| {
+            let mut row = Row::default();
+            for x in 0..grid.width() {
+                let at = |dx: f64, dy: f64| {
+                    let uv = [
+                        (x as f64 + dx) / grid.width() as f64,
+                        (y as f64 + dy) / grid.height() as f64,
+                    ];
+                    camera_from_world * crate::EnvironmentMap::direction_from_uv(uv)
+                };
+                let middle = at(0.5, 0.5);
+                let blend = blend(middle, axes, reach);
+                for l in 0..2 {
+                    let lens = &calibration.lenses[l];
+                    let find = |direction: DVec3| {
+                        let pixel = lens.projection.project(to_lens(rotations[l], direction))?;
+                        Some((pixel, place(pixel, lens.size)?))
+                    };
+                    if blend[l] <= 0.0 {
+                        continue;
+                    }
+                    let Some((pixel, (index, fraction))) = find(middle) else {
+                        continue;
+                    };
+                    let rho = (pixel - lens.projection.centre()).length() / edges[l];
+                    let level = lens.falloff(rho.min(1.0)) * lens.gain;
+                    row.parts.push(Part {
+                        column: x as u16,
+                        lens: l as u8,
+                        fraction,
+                        weight: (blend[l] / level) as f32 / (side * side) as f32,
+                        blend: blend[l] as f32,
+                    });
+                    if side == 1 {
+                        row.pixels.push(index);
+                        continue;
+                    }
+                    for s in 0..side * side {
                         let offset = |i: usize| (i as f64 + 0.5) / side as f64;
-                        let uv = [
-                            (x as f64 + offset(s % side)) / grid.width() as f64,
-                            (y as f64 + offset(s / side)) / grid.height() as f64,
-                        ];
-                        let world = crate::EnvironmentMap::direction_from_uv(uv);
-                        let direction = camera_from_world * world;
-                        let blend = blend(direction, axes, reach);
-                        for l in 0..2 {
-                            let lens = &calibration.lenses[l];
-                            let tap = &mut row[(x * per_texel + s) * 2 + l];
-                            if blend[l] <= 0.0 {
-                                continue;
-                            }
-                            let pixel = lens.projection.project(to_lens(rotations[l], direction));
-                            let Some(found) = pixel.and_then(|p| place(p, lens.size)) else {
-                                continue;
-                            };
-                            let (index, fraction) = found;
-                            let rho = pixel.map_or(0.0, |p| {
-                                (p - lens.projection.centre()).length() / edge_radius(lens)
-                            });
-                            let level = lens.falloff(rho.min(1.0)) * lens.gain;
-                            *tap = Tap {
-                                index,
-                                fraction,
-                                weight: (blend[l] / level / per_texel as f64) as f32,
-                            };
-                        }
+                        let around = at(offset(s % side), offset(s / side));
+                        let nearest = lens.projection.project(to_lens(rotations[l], around));
+                        let nearest = nearest.and_then(|p| place_nearest(p, lens.size));
+                        row.pixels.push(nearest.unwrap_or(index));
                     }
                 }
-            });
-        let overlap = overlap_taps(calibration, axes, reach);
+            }
+            row
+        };
         Ok(Self {
             width: grid.width(),
             height: grid.height(),
@@ -141,9 +178,9 @@ impl Stitcher {
                 .lenses
                 .each_ref()
                 .map(|lens| lens.size[0] * lens.size[1]),
-            taps,
-            per_texel,
-            overlap,
+            rows: (0..grid.height()).into_par_iter().map(build).collect(),
+            per_part: side * side,
+            overlap: overlap_taps(calibration, axes, reach),
             table: calibration.response.table(),
             gains: [1.0; 2],
             started: false,
@@ -190,43 +227,54 @@ impl Stitcher {
         self.update_gains(pair);
         let this = &*self;
         out.par_chunks_mut(this.width)
-            .enumerate()
-            .for_each(|(y, row)| {
-                let per_row = this.width * this.per_texel * 2;
-                let taps = &this.taps[y * per_row..(y + 1) * per_row];
-                for (texel, taps) in row.iter_mut().zip(taps.chunks_exact(this.per_texel * 2)) {
-                    *texel = this.gather(pair, taps);
-                }
-            });
+            .zip(&this.rows)
+            .with_min_len(8)
+            .for_each(|(texels, row)| this.stitch_row(pair, row, texels));
         Ok(())
     }
 
-    fn gather(&self, pair: &FisheyePair, taps: &[Tap]) -> [f32; 3] {
-        let mut sum = [0.0_f32; 3];
-        // Where any pixel clips, so does the texel: a mean of clipped ones must not look open.
-        let mut open = 0.0_f32;
-        let mut clipped = [0.0_f32; 3];
-        for (l, tap) in taps.iter().enumerate().map(|(i, tap)| (i % 2, tap)) {
-            if tap.weight <= 0.0 {
+    fn stitch_row(&self, pair: &FisheyePair, row: &Row, texels: &mut [[f32; 3]]) {
+        texels.fill([0.0; 3]);
+        let pixels = row.pixels.chunks_exact(self.per_part);
+        for (part, pixels) in row.parts.iter().zip(pixels) {
+            let lens = usize::from(part.lens);
+            let picture = pair.pictures[lens];
+            let weight = part.weight * self.gains[lens];
+            let texel = &mut texels[usize::from(part.column)];
+            if let &[index] = pixels {
+                let tap = Tap {
+                    index,
+                    fraction: part.fraction,
+                    weight,
+                };
+                let (value, bits) = self.sample(picture, self.strides[lens], &tap);
+                for c in 0..3 {
+                    let clipped = bits & (1 << c) != 0;
+                    let share = weight * value[c];
+                    texel[c] += if clipped {
+                        share.max(part.blend)
+                    } else {
+                        share
+                    };
+                }
                 continue;
             }
-            let (value, bits) = self.sample(pair.pictures[l], self.strides[l], tap);
-            let weight = tap.weight * self.gains[l];
-            for c in 0..3 {
-                sum[c] += weight * value[c];
-                if bits & (1 << c) != 0 {
-                    clipped[c] += 1.0;
+            let mut sum = [0.0_f32; 3];
+            let mut clipped = [0_u32; 3];
+            for &index in pixels {
+                let pixel = picture[index as usize];
+                for c in 0..3 {
+                    sum[c] += self.table[c][usize::from(pixel[c])];
+                    clipped[c] += u32::from(pixel[c] >= CLIPPED_CODE);
                 }
             }
-            open += 1.0;
-        }
-        for c in 0..3 {
-            // More than half of the light comes from clipped pixels: so is the sum.
-            if clipped[c] > 0.5 * open {
-                sum[c] = sum[c].max(1.0);
+            for c in 0..3 {
+                let share = weight * sum[c];
+                // Where most pixels clip, so does the texel: a mean must not look open.
+                let most = 2 * clipped[c] as usize > self.per_part;
+                texel[c] += if most { share.max(part.blend) } else { share };
             }
         }
-        sum
     }
 
     #[inline]
@@ -244,7 +292,7 @@ impl Stitcher {
         for (pixel, weight) in corners {
             for c in 0..3 {
                 value[c] += weight * self.table[c][usize::from(pixel[c])];
-                bits |= u8::from(pixel[c] >= 253 && weight > 0.25) << c;
+                bits |= u8::from(pixel[c] >= CLIPPED_CODE && weight > 0.25) << c;
             }
         }
         (value, bits)
@@ -364,4 +412,11 @@ fn place(pixel: DVec2, [width, height]: [usize; 2]) -> Option<(u32, [u8; 2])> {
         index as u32,
         [x.fract(), y.fract()].map(|f| (f * 256.0) as u8),
     ))
+}
+
+/// The pixel at a position; `None` outside the picture.
+fn place_nearest(pixel: DVec2, [width, height]: [usize; 2]) -> Option<u32> {
+    let inside =
+        pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width as f64 && pixel.y < height as f64;
+    inside.then(|| (pixel.x as usize + width * pixel.y as usize) as u32)
 }
