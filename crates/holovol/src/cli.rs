@@ -55,6 +55,12 @@ pub enum Command {
     Convert(ConvertArgs),
     /// Render a phantom that holovol makes itself: no file, GPU or display needed
     Demo(DemoArgs),
+    /// Estimate HDR light from LDR panoramas
+    Light(LightArgs),
+    /// Join the pictures of a dual-fisheye camera to one panorama
+    Stitch(StitchArgs),
+    /// Find a camera's lens parameters and its response
+    Calibrate(CalibrateArgs),
     /// Measure speed and error on this machine
     #[command(subcommand)]
     Bench(BenchCommand),
@@ -324,11 +330,137 @@ pub struct DemoArgs {
     pub device: DeviceArgs,
 }
 
+/// `holovol light`
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Radiance is in units in which 1 is where the first frame clips; its orientation is kept. Frames
+after the first say how much less light they let through: dark.png@-6 has 1/64 of it.
+
+On standard output comes one line of JSON, which --report writes too: rung (which evidence was
+used), sigma_ev (one standard deviation of all light, in EV), ceiling (radiance at which the
+darkest frame clips), clipped (share of the sphere), sky, lights (class, direction, solid_angle in
+sr, intensity: irradiance facing it, radiance, sigma_ev, disc), sh9 (spherical harmonics to order
+2, RGB), seconds (of the estimate), notes.
+
+Examples:
+  holovol light --ldr room.jpg --out room.exr
+  holovol light --ldr room.jpg --ldr dark.jpg@-6 --lux 2.1 --out room.exr --preview lights.png")]
+pub struct LightArgs {
+    /// A panorama (PNG, JPEG, HDR, EXR), with @EV if it is darker than the first
+    #[arg(long, value_name = "PANO[@EV]", required = true)]
+    pub ldr: Vec<String>,
+    /// Luminous irradiance from above, in units of the first frame: lux over the luminance
+    /// (cd/m²) at which it clips
+    #[arg(long, value_name = "E", allow_negative_numbers = true)]
+    pub lux: Option<f64>,
+    /// Irradiance of a diffuse probe: JSON list of {"normal": [x, y, z], "irradiance": [r, g, b]}
+    #[arg(long, value_name = "PROBE.json")]
+    pub probe: Option<PathBuf>,
+    /// Camera response: srgb, gamma:NUMBER, or a response or calibration file
+    #[arg(long, value_name = "CRF", default_value = "srgb")]
+    pub crf: String,
+    /// The radiance map to write: .exr or .hdr
+    #[arg(long, value_name = "OUT.exr")]
+    pub out: PathBuf,
+    /// Also write the report to a file
+    #[arg(long, value_name = "OUT.json")]
+    pub report: Option<PathBuf>,
+    /// Also write the first frame with its lights marked
+    #[arg(long, value_name = "OUT.png")]
+    pub preview: Option<PathBuf>,
+}
+
+/// `holovol stitch`
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+The panorama looks ahead (−z) at its centre. Both lenses are brought to one brightness where they
+overlap.
+
+Example:
+  holovol stitch front.png back.png --calibration camera.json --out pano.png")]
+pub struct StitchArgs {
+    /// The front lens's picture
+    #[arg(value_name = "A")]
+    pub a: PathBuf,
+    /// The back lens's picture
+    #[arg(value_name = "B")]
+    pub b: PathBuf,
+    /// The camera's calibration file; without it, equidistant lenses back to back are assumed
+    #[arg(long, value_name = "CAMERA.json")]
+    pub calibration: Option<PathBuf>,
+    /// Field of view of each lens in degrees, where there is no calibration
+    #[arg(long, value_name = "DEGREES", default_value_t = 195.0, value_parser = parse_fov)]
+    pub fov: f64,
+    /// The panorama to write
+    #[arg(long, value_name = "OUT.png")]
+    pub out: PathBuf,
+    /// Width of the panorama; its height is half of it
+    #[arg(long, value_name = "PIXELS", default_value_t = 2048, value_parser = clap::value_parser!(u32).range(2..=16384))]
+    pub width: u32,
+}
+
+/// `holovol calibrate`
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+From one pair of pictures: rotation, centres and focal length, refined until both lenses agree in
+their overlap. From an exposure series of a scene that stands still: the camera's response.
+
+Examples:
+  holovol calibrate --pair front.png back.png --fov 195 --out camera.json
+  holovol calibrate --start camera.json --series a.png@0 b.png@-2 c.png@-4 --out camera.json")]
+pub struct CalibrateArgs {
+    /// Pictures of the front and the back lens, taken at once
+    #[arg(long, value_names = ["A", "B"], num_args = 2)]
+    pub pair: Vec<PathBuf>,
+    /// A calibration file to start from
+    #[arg(long, value_name = "CAMERA.json")]
+    pub start: Option<PathBuf>,
+    /// An Insta360 offset string to start from
+    #[arg(long, value_name = "OFFSET")]
+    pub insta360: Option<String>,
+    /// Field of view of each lens in degrees, where nothing else is known
+    #[arg(long, value_name = "DEGREES", default_value_t = 195.0, value_parser = parse_fov)]
+    pub fov: f64,
+    /// An exposure series for the response
+    #[arg(long, value_name = "PICTURE@EV", num_args = 1..)]
+    pub series: Vec<String>,
+    /// Camera response, if known: srgb, gamma:NUMBER, or a file
+    #[arg(long, value_name = "CRF")]
+    pub crf: Option<String>,
+    /// The calibration file to write
+    #[arg(long, value_name = "OUT.json")]
+    pub out: PathBuf,
+}
+
 /// `holovol bench`
 #[derive(Debug, Subcommand)]
 pub enum BenchCommand {
     /// The tracer against variants of itself, taking turns
     Trace(BenchTraceArgs),
+    /// The estimation of light against panoramas whose light is known
+    Light(BenchLightArgs),
+}
+
+/// `holovol bench light`
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Each panorama is turned 4 times and exposed so that 0.5, 2 and 8 % of it clip; the prior is fitted
+without the panorama that is measured. Errors: irradiance over 512 normals, unscaled, relative to
+the truth (RMSE); log₂ of mean irradiance over the true one (EV bias); angle between the dominant
+lights. On standard output comes one line of JSON.
+
+Example:
+  holovol bench light *.hdr --report light.md")]
+pub struct BenchLightArgs {
+    /// HDR panoramas, at least 3
+    #[arg(value_name = "PANO.hdr", required = true)]
+    pub panoramas: Vec<PathBuf>,
+    /// Turns of each panorama
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=16))]
+    pub rotations: u32,
+    /// Also write the results as a Markdown page
+    #[arg(long, value_name = "OUT.md")]
+    pub report: Option<PathBuf>,
 }
 
 /// `holovol bench trace`
@@ -368,5 +500,12 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(seconds) if seconds > 0.0 && seconds <= LONGEST => Ok(seconds),
         _ => Err(format!("expected seconds, above 0 and at most {LONGEST}")),
+    }
+}
+
+fn parse_fov(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(fov) if fov > 90.0 && fov <= 300.0 => Ok(fov),
+        _ => Err("expected degrees, above 90 and at most 300".into()),
     }
 }

@@ -14,6 +14,7 @@ mod demo;
 mod failure;
 mod info;
 mod interrupt;
+mod light;
 mod output;
 mod picture;
 mod progress;
@@ -52,6 +53,9 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
         Command::Info(args) => info::run(&args),
         Command::Convert(args) => convert::run(&args),
         Command::Demo(args) => demo::run(&args),
+        Command::Light(args) => light::run(&args),
+        Command::Stitch(args) => light::stitch::run(&args),
+        Command::Calibrate(args) => light::stitch::calibrate(&args),
         Command::Bench(command) => bench::run(&command),
         Command::Completions { shell } => {
             let mut script = Vec::new();

@@ -1,5 +1,7 @@
 //! `holovol bench`: measures holovol on this machine.
 
+mod light;
+mod light_path;
 mod report;
 mod trace;
 
@@ -9,6 +11,7 @@ use crate::cli::BenchCommand;
 pub(crate) fn run(command: &BenchCommand) -> Result<(), Failure> {
     match command {
         BenchCommand::Trace(args) => trace::run(args),
+        BenchCommand::Light(args) => light::run(args),
     }
 }
 

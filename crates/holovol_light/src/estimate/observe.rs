@@ -1,0 +1,72 @@
+//! What the truth says about the lights of an estimate: the ground that priors are fitted on.
+
+use super::extend::REST;
+use super::{Estimator, LightClass};
+use crate::luminance;
+use crate::measure::luminous_flux;
+
+/// A light as it was guessed, beside the truth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Observation {
+    /// log₂ of the sun's true luminous irradiance over what a clear sky's sun would have had with
+    /// a prior of 0.
+    Sun(f64),
+    /// A clipped region.
+    Region {
+        /// How sharp its edge is.
+        sharpness: f64,
+        /// log₂ of its core's true mean luminance over the clipping level.
+        gain: f64,
+        /// Solid angle of its core, sr.
+        core: f64,
+        /// Its true share of all luminous flux.
+        flux: f64,
+    },
+}
+
+impl Estimator {
+    /// Compares the lights of the last estimate, made without meter or probe, with the true
+    /// radiance (same units, size and orientation).
+    pub fn observe(&self, truth: &[[f32; 3]]) -> Vec<Observation> {
+        let width = self.grid.width();
+        let flux = |texels: &[[f32; 3]], y: usize| {
+            let sum = texels
+                .iter()
+                .fold(0.0, |sum, texel| sum + luminance(texel.map(f64::from)));
+            sum * f64::from(self.grid.solid_angle(y))
+        };
+        let all = luminous_flux(&self.grid, truth);
+        let mut found = vec![(0.0, 0.0); self.regions.regions.len()];
+        for run in &self.regions.runs {
+            let row = run.y as usize * width;
+            for i in row + run.start as usize..row + run.end as usize {
+                if self.clipped[i] == 7 {
+                    let (here, guess) = &mut found[run.region as usize];
+                    *here += flux(&truth[i..=i], run.y as usize);
+                    *guess += flux(&self.radiance[i..=i], run.y as usize);
+                }
+            }
+        }
+        let lights = self.lights.iter().filter(|light| light.region != REST);
+        lights
+            .filter_map(|light| {
+                let (real, glow) = found[light.region as usize];
+                if light.class == LightClass::Sun {
+                    let guess = luminance(light.irradiance);
+                    let missing = (real - glow).max(0.02 * guess);
+                    return Some(Observation::Sun(
+                        (missing / guess).log2() + self.prior.sun_over_sky,
+                    ));
+                }
+                let region = self.regions.regions[light.region as usize];
+                let mean = real / f64::from(region.core * self.ceiling);
+                (mean > 0.0).then(|| Observation::Region {
+                    sharpness: region.sharpness(),
+                    gain: mean.log2().max(0.0),
+                    core: f64::from(region.core),
+                    flux: real / all,
+                })
+            })
+            .collect()
+    }
+}

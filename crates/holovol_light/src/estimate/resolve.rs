@@ -1,0 +1,106 @@
+//! Small bright lights that the exposures did see: they leave the map as discs, too.
+
+use glam::DVec3;
+
+use super::extend::REST;
+use super::regions::Regions;
+use super::{DISC_SOLID_ANGLE, Estimator, Light, LightClass};
+use crate::luminance;
+use crate::measure::luminous_flux;
+
+/// A texel this many times the mean radiance may be part of a small light.
+const BRIGHT: f64 = 16.0;
+/// Lights with less of all flux than this stay in the map.
+const SMALLEST_SHARE: f64 = 0.005;
+/// At most this many are taken out.
+const MOST: usize = 16;
+/// How sure what was seen is, EV.
+const SEEN_SIGMA: f64 = 0.05;
+
+impl Estimator {
+    /// Takes small bright lights out of the map. Energy is kept: a disc has what the map loses.
+    pub(super) fn resolve(&mut self) {
+        let flux = luminous_flux(&self.grid, &self.radiance);
+        let level = (BRIGHT * flux / (4.0 * std::f64::consts::PI)) as f32;
+        let brightest = |texel: &[f32; 3]| texel[0].max(texel[1]).max(texel[2]);
+        // Texels at twice the level mark a light, those above the level are all of it.
+        self.marks.clear();
+        let marks = self.radiance.iter();
+        let marks = marks.map(|texel| {
+            if brightest(texel) >= 2.0 * level {
+                7
+            } else {
+                0
+            }
+        });
+        self.marks.extend(marks);
+        if !(level > 0.0) || self.marks.iter().all(|&mark| mark == 0) {
+            return;
+        }
+        let mut found = std::mem::take(&mut self.bright);
+        found.find(&self.grid, &self.radiance, &self.marks, 2.0 * level);
+        self.order.clear();
+        let small = |(i, region): (usize, &super::Region)| {
+            let lit = region.core > 0.0 && f64::from(region.halo) < DISC_SOLID_ANGLE;
+            lit.then_some(i as u32)
+        };
+        self.order
+            .extend(found.regions.iter().enumerate().filter_map(small));
+        self.take_out(&found, level, SMALLEST_SHARE * flux);
+        self.bright = found;
+        self.lights
+            .sort_unstable_by(|a, b| luminance(b.irradiance).total_cmp(&luminance(a.irradiance)));
+    }
+
+    fn take_out(&mut self, found: &Regions, level: f32, least: f64) {
+        let width = self.grid.width();
+        // What each region has above the level, and where it is.
+        self.above.clear();
+        self.above
+            .resize(found.regions.len(), ([0.0; 3], DVec3::ZERO));
+        for run in &found.runs {
+            let y = run.y as usize;
+            let solid_angle = f64::from(self.grid.solid_angle(y));
+            let (irradiance, moment) = &mut self.above[run.region as usize];
+            for x in run.start as usize..run.end as usize {
+                let extra = self.radiance[x + width * y].map(|c| f64::from((c - level).max(0.0)));
+                for c in 0..3 {
+                    irradiance[c] += extra[c] * solid_angle;
+                }
+                let direction = DVec3::from_array(self.grid.direction(x, y).map(f64::from));
+                *moment += direction * (luminance(extra) * solid_angle);
+            }
+        }
+        let above = &self.above;
+        let strength = |i: &u32| luminance(above[*i as usize].0);
+        self.order.retain(|i| strength(i) >= least);
+        self.order
+            .sort_unstable_by(|a, b| strength(b).total_cmp(&strength(a)));
+        self.order.truncate(MOST);
+        for &i in &self.order {
+            let (irradiance, moment) = self.above[i as usize];
+            let direction = moment.normalize_or(DVec3::Y);
+            self.lights.push(Light {
+                class: if direction.y < -0.1 {
+                    LightClass::Reflection
+                } else {
+                    LightClass::Lamp
+                },
+                direction,
+                solid_angle: f64::from(found.regions[i as usize].halo),
+                irradiance,
+                sigma_ev: SEEN_SIGMA,
+                disc: true,
+                region: REST,
+            });
+        }
+        for run in &found.runs {
+            if self.order.contains(&run.region) {
+                let row = run.y as usize * width;
+                for texel in &mut self.radiance[row + run.start as usize..row + run.end as usize] {
+                    *texel = texel.map(|c| c.min(level));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,186 @@
+use glam::DVec3;
+
+use super::*;
+use crate::EnvironmentMap;
+use crate::measure::{FluxCells, normals};
+
+const WIDTH: usize = 128;
+const HEIGHT: usize = 64;
+
+/// A scene of direction → radiance, clipped at 2^−ev and brought to 0 … 1.
+fn expose(scene: impl Fn(DVec3) -> [f64; 3], ev: f64) -> Vec<[f32; 3]> {
+    let grid = Grid::new(WIDTH, HEIGHT);
+    (0..grid.len())
+        .map(|i| {
+            let at = grid.direction(i % WIDTH, i / WIDTH).map(f64::from);
+            scene(DVec3::from_array(at)).map(|c| (c * ev.exp2()).min(1.0) as f32)
+        })
+        .collect()
+}
+
+/// A clear day: blue sky, green ground, a glow and a sun too bright for any exposure.
+fn day(direction: DVec3) -> [f64; 3] {
+    let sun = DVec3::new(0.6, 0.6, -0.53).normalize();
+    let angle = direction.angle_between(sun);
+    let glow = 0.1 / angle.max(0.02);
+    let disc = if angle < 0.03 { 3000.0 } else { 0.0 };
+    if direction.y > 0.0 {
+        [0.1 + glow + disc, 0.2 + glow + disc, 0.45 + glow + disc]
+    } else {
+        [0.08, 0.12, 0.05]
+    }
+}
+
+/// A room with a cut-out lamp.
+fn room(direction: DVec3) -> [f64; 3] {
+    let lamp = DVec3::new(-0.5, 0.7, 0.4).normalize();
+    let level = if direction.angle_between(lamp) < 0.08 {
+        30.0
+    } else {
+        0.15
+    };
+    [level; 3]
+}
+
+fn estimate(frames: &[(f64, Vec<[f32; 3]>)], meter: Option<Meter>) -> Estimator {
+    let exposures: Vec<Exposure> = frames
+        .iter()
+        .map(|(ev, radiance)| Exposure { ev: *ev, radiance })
+        .collect();
+    let mut estimator = Estimator::new(WIDTH, HEIGHT, Prior::default());
+    estimator.estimate(&Evidence {
+        frames: &exposures,
+        meter,
+        probe: None,
+    });
+    estimator
+}
+
+fn whole(estimator: &Estimator) -> EnvironmentMap {
+    let mut texels = Vec::new();
+    estimator.write_map(&mut texels);
+    EnvironmentMap::new(WIDTH, HEIGHT, texels)
+}
+
+#[test]
+fn a_sun_is_told_from_a_lamp() {
+    let outdoors = estimate(&[(0.0, expose(day, 0.0))], None);
+    assert_eq!(outdoors.lights()[0].class, LightClass::Sun);
+    assert_eq!(outdoors.lights()[0].solid_angle, SUN_SOLID_ANGLE);
+    let sun = DVec3::new(0.6, 0.6, -0.53).normalize();
+    assert!(outdoors.lights()[0].direction.angle_between(sun) < 0.05);
+    let indoors = estimate(&[(0.0, expose(room, 0.0))], None);
+    assert_ne!(indoors.lights()[0].class, LightClass::Sun);
+}
+
+#[test]
+fn each_rung_is_surer_than_the_one_below() {
+    let truth = FluxCells::new(&EnvironmentMap::new(WIDTH, HEIGHT, {
+        let grid = Grid::new(WIDTH, HEIGHT);
+        let radiance = |i| {
+            let at = grid.direction(i % WIDTH, i / WIDTH).map(f64::from);
+            room(DVec3::from_array(at)).map(|c| c as f32)
+        };
+        (0..grid.len()).map(radiance).collect()
+    }));
+    let base = expose(room, 0.0);
+    let meter = Meter::upward(luminance(truth.irradiance(DVec3::Y)));
+    let single = estimate(&[(0.0, base.clone())], None);
+    let metered = estimate(&[(0.0, base.clone())], Some(meter));
+    let bracket = estimate(&[(0.0, base), (-6.0, expose(room, -6.0))], None);
+    let error = |estimator: &Estimator| {
+        let found = FluxCells::new(&whole(estimator));
+        let mean = |cells: &FluxCells| -> f64 {
+            normals(64).map(|n| luminance(cells.irradiance(n))).sum()
+        };
+        (mean(&found) / mean(&truth)).log2().abs()
+    };
+    assert_eq!(single.rung(), Rung::Single);
+    assert!(single.sigma_ev() > metered.sigma_ev() && metered.sigma_ev() > bracket.sigma_ev());
+    assert!(error(&metered) < 0.1, "{}", error(&metered));
+    assert!(error(&bracket) < 0.02, "{}", error(&bracket));
+}
+
+#[test]
+fn a_turned_panorama_gives_a_turned_estimate() {
+    let base = expose(day, 0.0);
+    let turned: Vec<[f32; 3]> = (0..base.len())
+        .map(|i| base[(i % WIDTH + WIDTH / 4) % WIDTH + i / WIDTH * WIDTH])
+        .collect();
+    let (a, b) = (
+        estimate(&[(0.0, base)], None),
+        estimate(&[(0.0, turned)], None),
+    );
+    for i in 0..WIDTH * HEIGHT {
+        let from = (i % WIDTH + WIDTH / 4) % WIDTH + i / WIDTH * WIDTH;
+        let (found, expected) = (b.radiance()[i][1], a.radiance()[from][1]);
+        assert!(
+            (found - expected).abs() < 1e-3 * expected.max(0.1),
+            "{found} {expected}"
+        );
+    }
+    let quarter = glam::DQuat::from_rotation_y(std::f64::consts::FRAC_PI_2);
+    let expected = quarter * a.lights()[0].direction;
+    assert!(b.lights()[0].direction.angle_between(expected) < 1e-3);
+}
+
+#[test]
+fn discs_keep_the_energy_that_the_map_loses() {
+    let frames = [(0.0, expose(room, 0.0)), (-6.0, expose(room, -6.0))];
+    let estimator = estimate(&frames, None);
+    assert_eq!(estimator.lights().len(), 1);
+    assert!(estimator.lights()[0].disc);
+    let grid = Grid::new(WIDTH, HEIGHT);
+    let drawn = crate::measure::luminous_flux(&grid, whole(&estimator).texels());
+    assert!((drawn / estimator.flux() - 1.0).abs() < 1e-4);
+    let lamp = 0.08_f64;
+    let expected = 0.15 * 4.0 * PI + 29.85 * 2.0 * PI * (1.0 - lamp.cos());
+    assert!((drawn / expected - 1.0).abs() < 0.05, "{drawn} {expected}");
+}
+
+#[test]
+fn whatever_comes_light_is_finite_and_not_negative() {
+    let broken = [
+        f32::NAN,
+        f32::INFINITY,
+        f32::NEG_INFINITY,
+        -1.0,
+        0.0,
+        1.0,
+        1e30,
+    ];
+    let mut state = 1_u32;
+    let mut any = || {
+        state = state.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
+        broken[(state >> 16) as usize % broken.len()]
+    };
+    for (width, height) in [(1, 1), (2, 1), (7, 3), (64, 32)] {
+        let base: Vec<[f32; 3]> = (0..width * height).map(|_| [any(), any(), any()]).collect();
+        let dark: Vec<[f32; 3]> = (0..width * height).map(|_| [any(), any(), any()]).collect();
+        let mut estimator = Estimator::new(width, height, Prior::default());
+        for meter in [None, Some(Meter::upward(0.0)), Some(Meter::upward(1e20))] {
+            let frames = [
+                Exposure {
+                    ev: 0.0,
+                    radiance: &base,
+                },
+                Exposure {
+                    ev: -6.0,
+                    radiance: &dark,
+                },
+            ];
+            estimator.estimate(&Evidence {
+                frames: &frames,
+                meter,
+                probe: None,
+            });
+            let map = estimator.radiance().iter().flatten();
+            assert!(map.clone().all(|c| c.is_finite() && *c >= 0.0));
+            for light in estimator.lights() {
+                assert!(light.irradiance.iter().all(|e| e.is_finite() && *e >= 0.0));
+                assert!(light.direction.is_normalized());
+            }
+            assert!(estimator.sigma_ev().is_finite());
+        }
+    }
+}

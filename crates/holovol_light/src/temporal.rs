@@ -1,0 +1,312 @@
+//! Light from frame to frame: no flicker, and a switch goes through at once.
+
+use glam::DVec3;
+
+use crate::estimate::Light;
+use crate::{Grid, luminance};
+
+/// Time constant of the map, s.
+const MAP_SECONDS: f64 = 0.15;
+/// Spread by which a light's strength may drift, EV per √s.
+const DRIFT: f64 = 0.27;
+/// An innovation beyond this is a switch, EV.
+const SWITCH: f64 = 1.0;
+/// Frame-to-frame spread of a light's measured strength, EV: much less than its bias, which
+/// [`Light::sigma_ev`] tells and no averaging removes.
+const FLICKER: f64 = 0.25;
+/// Lights nearer than this are the same from frame to frame, radians.
+const SAME: f64 = 0.09;
+/// Time without being seen after which a light is forgotten, s.
+const FORGET: f64 = 0.1;
+/// Blocks across and down that are looked at for switches in the map.
+const BLOCKS: [usize; 2] = [32, 16];
+/// A block's mean that changes by more than this, EV, is taken over at once.
+const BLOCK_SWITCH: f64 = 0.5;
+
+/// A light over time.
+#[derive(Clone, Copy, Debug)]
+struct Track {
+    light: Light,
+    /// log₂ of its luminous irradiance.
+    level: f64,
+    variance: f64,
+    unseen: f64,
+}
+
+/// Filters maps and lights over time; allocates only while lights appear.
+#[derive(Clone, Debug)]
+pub struct TemporalFilter {
+    grid: Grid,
+    map: Vec<[f32; 3]>,
+    means: Vec<[f64; 2]>,
+    tracks: Vec<Track>,
+    matched: Vec<bool>,
+    lights: Vec<Light>,
+    started: bool,
+}
+
+impl TemporalFilter {
+    /// A filter for maps of this size.
+    pub fn new(width: usize, height: usize) -> Self {
+        let grid = Grid::new(width, height);
+        Self {
+            map: vec![[0.0; 3]; grid.len()],
+            means: vec![[0.0; 2]; BLOCKS[0] * BLOCKS[1]],
+            tracks: Vec::with_capacity(16),
+            matched: Vec::with_capacity(16),
+            lights: Vec::with_capacity(16),
+            started: false,
+            grid,
+        }
+    }
+
+    /// Takes an estimate, `seconds` after the last, whose exposure was `exposure_ev` (EV above a
+    /// reference that stays; its radiance is divided by it, so that a camera which changes its
+    /// exposure does not change the light).
+    ///
+    /// # Panics
+    /// If the map has not the filter's size.
+    pub fn update(
+        &mut self,
+        radiance: &[[f32; 3]],
+        lights: &[Light],
+        seconds: f64,
+        exposure_ev: f64,
+    ) {
+        assert_eq!(radiance.len(), self.grid.len(), "the filter's size");
+        let scale = (-exposure_ev).exp2();
+        self.blend_map(radiance, scale as f32, seconds);
+        self.track(lights, scale, seconds);
+        self.started = true;
+    }
+
+    /// The filtered map, without disc lights.
+    pub fn radiance(&self) -> &[[f32; 3]] {
+        &self.map
+    }
+
+    /// The filtered disc lights.
+    pub fn lights(&self) -> &[Light] {
+        &self.lights
+    }
+
+    fn blend_map(&mut self, radiance: &[[f32; 3]], scale: f32, seconds: f64) {
+        let (width, height) = (self.grid.width(), self.grid.height());
+        // Texels of a row from which a block's columns begin.
+        let edge = |block: usize| block * width / BLOCKS[0];
+        let block_row = |y: usize| (y * BLOCKS[1] / height) * BLOCKS[0];
+        self.means.fill([0.0; 2]);
+        for y in 0..height {
+            let row = y * width..(y + 1) * width;
+            let (new, old) = (&radiance[row.clone()], &self.map[row]);
+            for b in 0..BLOCKS[0] {
+                let columns = edge(b)..edge(b + 1);
+                let sum = |texels: &[[f32; 3]]| texels.as_flattened().iter().sum::<f32>();
+                let mean = &mut self.means[block_row(y) + b];
+                mean[0] += f64::from(scale * sum(&new[columns.clone()]));
+                mean[1] += f64::from(sum(&old[columns]));
+            }
+        }
+        let rate = 1.0 - (-seconds.max(0.0) / MAP_SECONDS).exp();
+        for mean in &mut self.means {
+            let ratio = (mean[0].max(1e-9) / mean[1].max(1e-9)).log2().abs();
+            let switched = !self.started || ratio > BLOCK_SWITCH;
+            mean[0] = if switched { 1.0 } else { rate };
+        }
+        for y in 0..height {
+            let row = y * width..(y + 1) * width;
+            let (new, old) = (&radiance[row.clone()], &mut self.map[row]);
+            for b in 0..BLOCKS[0] {
+                let columns = edge(b)..edge(b + 1);
+                let rate = self.means[block_row(y) + b][0] as f32;
+                let old = old[columns.clone()].as_flattened_mut();
+                for (old, new) in old.iter_mut().zip(new[columns].as_flattened()) {
+                    *old += rate * (scale * new - *old);
+                }
+            }
+        }
+    }
+
+    fn track(&mut self, lights: &[Light], scale: f64, seconds: f64) {
+        self.matched.clear();
+        self.matched.resize(self.tracks.len(), false);
+        for light in lights.iter().filter(|light| light.disc) {
+            let mut light = *light;
+            light.irradiance = light.irradiance.map(|e| e * scale);
+            let level = luminance(light.irradiance).max(1e-12).log2();
+            let nearest = self
+                .tracks
+                .iter()
+                .enumerate()
+                .filter(|(i, _)| !self.matched.get(*i).copied().unwrap_or(true))
+                .map(|(i, track)| (i, track.light.direction.angle_between(light.direction)))
+                .min_by(|a, b| a.1.total_cmp(&b.1))
+                .filter(|&(_, angle)| angle < SAME);
+            let Some((i, _)) = nearest else {
+                self.tracks.push(Track {
+                    light,
+                    level,
+                    variance: FLICKER * FLICKER,
+                    unseen: 0.0,
+                });
+                continue;
+            };
+            self.matched[i] = true;
+            let track = &mut self.tracks[i];
+            track.unseen = 0.0;
+            let noise = FLICKER * FLICKER;
+            if (level - track.level).abs() > SWITCH {
+                (track.level, track.variance) = (level, noise);
+            } else {
+                track.variance += DRIFT * DRIFT * seconds.max(0.0);
+                let gain = track.variance / (track.variance + noise);
+                track.level += gain * (level - track.level);
+                track.variance *= 1.0 - gain;
+            }
+            let gain = (track.variance / noise).clamp(0.05, 1.0);
+            let towards = track.light.direction.lerp(light.direction, gain);
+            light.direction = towards.try_normalize().unwrap_or(light.direction);
+            let to = track.level.exp2() / luminance(light.irradiance).max(1e-12);
+            light.irradiance = light.irradiance.map(|e| e * to);
+            track.light = light;
+        }
+        for (track, matched) in self.tracks.iter_mut().zip(&self.matched) {
+            if !matched {
+                track.unseen += seconds.max(1e-3);
+            }
+        }
+        // A light that went out is gone from the map too: keeping it would be a ghost. One that
+        // was missed for a frame or two is kept at what it was.
+        let dark = |direction: DVec3, map: &[[f32; 3]], grid: &Grid| {
+            let [u, v] = crate::EnvironmentMap::uv_from_direction(direction);
+            let x = ((u * grid.width() as f64) as usize).min(grid.width() - 1);
+            let y = ((v * grid.height() as f64) as usize).min(grid.height() - 1);
+            map[x + grid.width() * y]
+                .iter()
+                .all(|&c| c < 0.5 * scale as f32)
+        };
+        let (map, grid) = (&self.map, &self.grid);
+        self.tracks.retain(|track| {
+            track.unseen < FORGET && !(track.unseen > 0.0 && dark(track.light.direction, map, grid))
+        });
+        self.lights.clear();
+        self.lights
+            .extend(self.tracks.iter().map(|track| track.light));
+    }
+}
+
+/// Change of exposure between two pictures of an untagged camera, EV: the median log ratio of
+/// texels that clip in neither. `None` if too few do not.
+///
+/// Looks at about 4000 texels. A change of the light of more than half the view is taken for one
+/// of exposure: lock the exposure, or tag it, where you can.
+pub fn exposure_change(before: &[[f32; 3]], after: &[[f32; 3]]) -> Option<f64> {
+    const LOOKED_AT: usize = 4096;
+    const FEWEST: usize = 64;
+    let step = (before.len() / LOOKED_AT).max(1);
+    let open = |texel: &[f32; 3]| texel.iter().all(|&c| c > 0.004 && c < 0.9);
+    let pairs = before.iter().zip(after).step_by(step);
+    let mut ratios: Vec<f64> = pairs
+        .filter(|(a, b)| open(a) && open(b))
+        .map(|(a, b)| f64::from(b[1] / a[1]).log2())
+        .collect();
+    if ratios.len() < FEWEST {
+        return None;
+    }
+    let middle = ratios.len() / 2;
+    let (_, median, _) = ratios.select_nth_unstable_by(middle, f64::total_cmp);
+    Some(*median)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::{Estimator, Evidence, Exposure, Prior};
+
+    const WIDTH: usize = 128;
+    const HEIGHT: usize = 64;
+
+    /// A grey room with a lamp of 3 × 3 texels.
+    fn picture(lamp: f32, exposure_ev: f64, wobble: f32) -> Vec<[f32; 3]> {
+        let scale = exposure_ev.exp2() as f32;
+        (0..WIDTH * HEIGHT)
+            .map(|i| {
+                let (x, y) = (i % WIDTH, i / WIDTH);
+                let on = (60..63).contains(&x) && (20..23).contains(&y);
+                let l = if on { lamp } else { 0.2 * (1.0 + wobble) };
+                [(l * scale).min(1.0); 3]
+            })
+            .collect()
+    }
+
+    fn run(frames: &[(f32, f64, f32)]) -> (Vec<f64>, Vec<usize>) {
+        let mut estimator = Estimator::new(WIDTH, HEIGHT, Prior::default());
+        let mut filter = TemporalFilter::new(WIDTH, HEIGHT);
+        let (mut flux, mut count) = (Vec::new(), Vec::new());
+        for &(lamp, ev, wobble) in frames {
+            let picture = picture(lamp, ev, wobble);
+            let frames = [Exposure {
+                ev: 0.0,
+                radiance: &picture,
+            }];
+            estimator.estimate(&Evidence {
+                frames: &frames,
+                ..Default::default()
+            });
+            filter.update(estimator.radiance(), estimator.lights(), 1.0 / 30.0, ev);
+            let map = crate::measure::luminous_flux(estimator.grid(), filter.radiance());
+            let discs = filter
+                .lights()
+                .iter()
+                .map(|light| luminance(light.irradiance));
+            flux.push(map + discs.sum::<f64>());
+            count.push(filter.lights().len());
+        }
+        (flux, count)
+    }
+
+    #[test]
+    fn a_switch_goes_through_in_one_frame_both_ways() {
+        let (flux, count) = run(&[
+            (0.2, 0.0, 0.0),
+            (0.2, 0.0, 0.0),
+            (50.0, 0.0, 0.0),
+            (50.0, 0.0, 0.0),
+            (0.2, 0.0, 0.0),
+        ]);
+        assert_eq!(count, [0, 0, 1, 1, 0]);
+        assert!(flux[2] > 1.01 * flux[1]);
+        assert!((flux[2] / flux[3] - 1.0).abs() < 0.05, "{flux:?}");
+    }
+
+    #[test]
+    fn flicker_is_damped() {
+        let wobble = |i: i32| if i % 2 == 0 { 0.05 } else { -0.05 };
+        let frames: Vec<_> = (0..40).map(|i| (50.0, 0.0, wobble(i))).collect();
+        let (flux, _) = run(&frames);
+        let late = &flux[20..];
+        let spread = late
+            .iter()
+            .fold((f64::MAX, f64::MIN), |(a, b), &f| (a.min(f), b.max(f)));
+        assert!(spread.1 / spread.0 < 1.03, "{spread:?}");
+    }
+
+    #[test]
+    fn the_camera_s_exposure_is_not_the_light_s() {
+        // The lamp clips throughout; only its tagged exposure changes.
+        let (flux, _) = run(&[
+            (0.2, 0.0, 0.0),
+            (0.2, 0.0, 0.0),
+            (0.2, -1.0, 0.0),
+            (0.2, 1.0, 0.0),
+        ]);
+        for pair in flux.windows(2) {
+            assert!((pair[1] / pair[0] - 1.0).abs() < 0.02, "{flux:?}");
+        }
+        let (before, after) = (picture(50.0, 0.0, 0.0), picture(50.0, -0.7, 0.0));
+        let found = exposure_change(&before, &after).unwrap();
+        assert!((found + 0.7).abs() < 0.01, "{found}");
+        let black = vec![[0.0; 3]; WIDTH * HEIGHT];
+        assert!(exposure_change(&black, &black).is_none());
+    }
+}

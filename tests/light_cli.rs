@@ -1,0 +1,328 @@
+//! `holovol light`, `stitch` and `calibrate` as their users meet them.
+
+mod support;
+
+use std::path::Path;
+
+use holovol_light::EnvironmentMap;
+use image::codecs::jpeg::JpegEncoder;
+use image::{GrayImage, ImageBuffer, Rgb, RgbImage};
+use serde_json::{Value, json};
+use support::Bench;
+
+const WIDTH: u32 = 128;
+const HEIGHT: u32 = 64;
+
+/// A grey room with a lamp, 3 × 3 pixels, at an exposure.
+fn room(ev: f64) -> RgbImage {
+    RgbImage::from_fn(WIDTH, HEIGHT, |x, y| {
+        let on = (60..63).contains(&x) && (20..23).contains(&y);
+        let light = (if on { 40.0 } else { 0.2 } * ev.exp2()).min(1.0);
+        let code = (holovol_light::response::linear_to_srgb(light) * 255.0).round() as u8;
+        Rgb([code; 3])
+    })
+}
+
+/// The map that was written: finite and nowhere negative by the loader's own count.
+#[track_caller]
+fn map(path: &Path) -> EnvironmentMap {
+    let map = EnvironmentMap::load(path).unwrap();
+    assert_eq!(map.replaced(), 0);
+    map
+}
+
+#[track_caller]
+fn light(bench: &Bench, ldr: &str) -> (Value, EnvironmentMap) {
+    let line = bench.json(&["light", "--ldr", ldr, "--out", "env.exr"]);
+    (line, map(&bench.path("env.exr")))
+}
+
+#[track_caller]
+fn refused(bench: &Bench, args: &[&str], code: i32, words: &[&str]) {
+    let output = bench.run(args);
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(code), "{args:?}: {stderr}");
+    for word in words {
+        assert!(stderr.contains(word), "{args:?}: no {word:?} in {stderr:?}");
+    }
+}
+
+#[test]
+fn a_lamp_is_found_and_a_dark_frame_measures_it() {
+    let bench = Bench::new();
+    room(0.0).save(bench.path("room.png")).unwrap();
+    room(-6.0).save(bench.path("dark.png")).unwrap();
+    let args = [
+        "light",
+        "--ldr",
+        "room.png",
+        "--ldr",
+        "dark.png@-6",
+        "--out",
+        "env.exr",
+        "--report",
+        "report.json",
+        "--preview",
+        "lights.png",
+    ];
+    let line = bench.json(&args);
+    assert_eq!(line["rung"], "bracket");
+    assert!(line["sigma_ev"].as_f64().unwrap() < 0.1);
+    let lamp = &line["lights"][0];
+    let direction: Vec<f64> = lamp["direction"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|v| v.as_f64().unwrap())
+        .collect();
+    let expected = EnvironmentMap::direction_from_uv([61.5 / 128.0, 21.5 / 64.0]);
+    let cosine: f64 = direction
+        .iter()
+        .zip(expected.to_array())
+        .map(|(a, b)| a * b)
+        .sum();
+    assert!(cosine > 0.9998, "{direction:?}");
+    let found = map(&bench.path("env.exr"));
+    let peak = found.texel(61, 21)[1];
+    assert!((36.0..44.0).contains(&peak), "{peak}");
+    let wall = found.texel(10, 40)[0];
+    assert!((wall - 0.2).abs() < 0.005, "{wall}");
+    let report: Value =
+        serde_json::from_slice(&std::fs::read(bench.path("report.json")).unwrap()).unwrap();
+    assert_eq!(report["lights"], line["lights"]);
+    assert_eq!(report["sh9"].as_array().unwrap().len(), 9);
+    assert_eq!(
+        image::open(bench.path("lights.png")).unwrap().width(),
+        WIDTH
+    );
+    let alone = bench.json(&["light", "--ldr", "room.png", "--out", "env.hdr"]);
+    assert_eq!(alone["rung"], "single");
+    assert!(alone["sigma_ev"].as_f64() > line["sigma_ev"].as_f64());
+    assert!(EnvironmentMap::load(&bench.path("env.hdr")).is_ok());
+}
+
+#[test]
+fn meter_and_probe_are_used_and_told() {
+    let bench = Bench::new();
+    room(0.0).save(bench.path("room.png")).unwrap();
+    let args = [
+        "light", "--ldr", "room.png", "--lux", "0.9", "--out", "env.exr",
+    ];
+    let line = bench.json(&args);
+    assert_eq!(line["rung"], "single+lux");
+    let samples: Vec<Value> = [
+        [0, 1, 0],
+        [0, -1, 0],
+        [1, 0, 0],
+        [0, 0, -1],
+        [-1, 0, 0],
+        [0, 0, 1],
+    ]
+    .iter()
+    .map(|n| json!({"normal": n, "irradiance": [0.7, 0.7, 0.7]}))
+    .collect();
+    bench.write("probe.json", json!(samples).to_string().as_bytes());
+    let args = [
+        "light",
+        "--ldr",
+        "room.png",
+        "--probe",
+        "probe.json",
+        "--out",
+        "env.exr",
+    ];
+    assert_eq!(bench.json(&args)["rung"], "probe");
+    refused(
+        &bench,
+        &[
+            "light", "--ldr", "room.png", "--lux", "-1", "--out", "e.exr",
+        ],
+        2,
+        &["--lux"],
+    );
+    bench.write(
+        "probe.json",
+        b"[{\"normal\": [0, 0, 0], \"irradiance\": [1, 1, 1]}]",
+    );
+    refused(&bench, &args, 3, &["probe.json", "at least 4"]);
+}
+
+#[test]
+fn extreme_pictures_give_finite_light() {
+    let bench = Bench::new();
+    for (name, code) in [("black.png", 0), ("white.png", 255)] {
+        RgbImage::from_pixel(WIDTH, HEIGHT, Rgb([code; 3]))
+            .save(bench.path(name))
+            .unwrap();
+    }
+    let (line, found) = light(&bench, "black.png");
+    assert_eq!(found.as_constant(), Some([0.0; 3]));
+    assert_eq!(line["lights"], json!([]));
+    let (line, found) = light(&bench, "white.png");
+    assert!(found.texel(0, 0)[0] >= 0.99);
+    assert!(line["notes"].to_string().contains("clipped"));
+    assert!(
+        line["sigma_ev"].as_f64().unwrap() > 0.5,
+        "nothing is known: {line}"
+    );
+    RgbImage::from_pixel(1, 1, Rgb([128; 3]))
+        .save(bench.path("one.png"))
+        .unwrap();
+    let (line, found) = light(&bench, "one.png");
+    assert!((found.texel(0, 0)[0] - 0.2158).abs() < 1e-3);
+    assert!(line["notes"].to_string().contains("2 : 1"));
+    RgbImage::from_pixel(100, 37, Rgb([255, 200, 128]))
+        .save(bench.path("odd.png"))
+        .unwrap();
+    let (line, _) = light(&bench, "odd.png");
+    assert!(line["notes"].to_string().contains("2 : 1"));
+}
+
+#[test]
+fn depth_and_colour_kinds_are_read() {
+    let bench = Bench::new();
+    let deep = ImageBuffer::from_fn(WIDTH, HEIGHT, |_, _| Rgb([30000_u16, 10, 65000]));
+    deep.save(bench.path("deep.png")).unwrap();
+    let (_, found) = light(&bench, "deep.png");
+    let expected = holovol_light::response::srgb_to_linear(30000.0 / 65535.0) as f32;
+    assert!((found.texel(5, 5)[0] - expected).abs() < 1e-4);
+    let mut grey = Vec::new();
+    let picture = GrayImage::from_pixel(WIDTH, HEIGHT, image::Luma([100]));
+    JpegEncoder::new(&mut grey).encode_image(&picture).unwrap();
+    bench.write("grey.jpg", &grey);
+    let (_, found) = light(&bench, "grey.jpg");
+    let [r, g, b] = found.texel(5, 5);
+    assert!(r == g && g == b && (r - 0.127).abs() < 0.005, "{r}");
+}
+
+#[test]
+fn linear_files_are_exposures_or_pass_through() {
+    let bench = Bench::new();
+    let write = |name: &str, texels: Vec<[f32; 3]>| {
+        let pixels = texels.iter().map(|&[r, g, b]| [r, g, b, 1.0]).collect();
+        let picture = holovol_reference::Image::new(16, 8, pixels);
+        picture.write_exr(&bench.path(name)).unwrap();
+    };
+    let mut texels = vec![[0.3; 3]; 128];
+    texels[40] = [1.0; 3];
+    write("clipped.exr", texels.clone());
+    let (line, _) = light(&bench, "clipped.exr");
+    assert_eq!(line["rung"], "single");
+    texels[40] = [500.0; 3];
+    write("hdr.exr", texels.clone());
+    let (line, found) = light(&bench, "hdr.exr");
+    assert_eq!(
+        (&line["rung"], found.texels()),
+        (&json!("hdr"), texels.as_slice())
+    );
+    texels[3] = [f32::NAN, -1.0, 0.5];
+    write("nan.exr", texels);
+    let (line, found) = light(&bench, "nan.exr");
+    assert!(
+        line["notes"]
+            .to_string()
+            .contains("1 texels were not finite"),
+        "{line}"
+    );
+    assert_eq!(found.texel(3, 0), [0.0, 0.0, 0.5]);
+}
+
+#[test]
+fn what_can_not_be_read_or_does_not_fit_is_told() {
+    let bench = Bench::new();
+    room(0.0).save(bench.path("room.png")).unwrap();
+    RgbImage::new(64, 32).save(bench.path("small.png")).unwrap();
+    let bytes = std::fs::read(bench.path("room.png")).unwrap();
+    bench.write("cut.png", &bytes[..bytes.len() / 2]);
+    bench.write("text.png", b"not a picture");
+    let out = ["--out", "env.exr"];
+    let args = |more: &[&'static str]| -> Vec<&'static str> {
+        ["light"].iter().chain(more).chain(&out).copied().collect()
+    };
+    refused(&bench, &args(&["--ldr", "cut.png"]), 3, &["cut.png"]);
+    refused(
+        &bench,
+        &args(&["--ldr", "text.png"]),
+        3,
+        &["text.png", "PNG, JPEG"],
+    );
+    refused(&bench, &args(&["--ldr", "none.png"]), 3, &["none.png"]);
+    let two = args(&["--ldr", "room.png", "--ldr", "small.png@-6"]);
+    refused(&bench, &two, 3, &["64 × 32", "128 × 64"]);
+    let same = args(&["--ldr", "room.png", "--ldr", "room.png"]);
+    refused(&bench, &same, 2, &["@EV"]);
+    refused(
+        &bench,
+        &args(&["--ldr", "room.png", "--crf", "gamma:0"]),
+        2,
+        &["gamma"],
+    );
+    refused(
+        &bench,
+        &args(&["--ldr", "room.png", "--crf", "text.png"]),
+        3,
+        &["text.png"],
+    );
+    refused(
+        &bench,
+        &["light", "--ldr", "room.png", "--out", "env.png"],
+        4,
+        &[".exr"],
+    );
+}
+
+#[test]
+fn pairs_are_stitched_and_wrong_calibrations_refused() {
+    let bench = Bench::new();
+    // A lens that fills its picture, brighter toward the right.
+    let picture = RgbImage::from_fn(200, 200, |x, _| Rgb([60 + (x / 4) as u8; 3]));
+    picture.save(bench.path("a.png")).unwrap();
+    picture.save(bench.path("b.png")).unwrap();
+    let line = bench.json(&[
+        "stitch", "a.png", "b.png", "--out", "pano.png", "--width", "256",
+    ]);
+    assert_eq!(
+        (&line["width"], &line["height"]),
+        (&json!(256), &json!(128))
+    );
+    let pano = image::open(bench.path("pano.png")).unwrap().into_rgb8();
+    // Ahead is the middle of the front picture; to its right the panorama gets brighter.
+    assert!((i32::from(pano.get_pixel(128, 64).0[0]) - 85).abs() <= 2);
+    assert!(pano.get_pixel(150, 64).0[0] > pano.get_pixel(106, 64).0[0]);
+    RgbImage::new(200, 100)
+        .save(bench.path("flat.png"))
+        .unwrap();
+    let calibrate = [
+        "calibrate",
+        "--pair",
+        "a.png",
+        "b.png",
+        "--out",
+        "camera.json",
+    ];
+    let _ = bench.run(&calibrate);
+    let offset = "2_90_100_100_0_0_0_90_300_100_0_0_0_400_200_2";
+    bench.json(&["calibrate", "--insta360", offset, "--out", "camera.json"]);
+    bench.json(&[
+        "stitch",
+        "a.png",
+        "b.png",
+        "--calibration",
+        "camera.json",
+        "--out",
+        "pano.png",
+    ]);
+    let wrong = [
+        "stitch",
+        "flat.png",
+        "flat.png",
+        "--calibration",
+        "camera.json",
+        "--out",
+        "p.png",
+    ];
+    refused(&bench, &wrong, 3, &["[200, 200]", "[200, 100]"]);
+    bench.write("camera.json", b"{\"version\": 1}");
+    refused(&bench, &wrong, 3, &["camera.json", "lenses"]);
+    refused(&bench, &["calibrate", "--out", "c.json"], 2, &["--pair"]);
+}
