@@ -118,15 +118,8 @@ pub(crate) fn write_text(text: &str, path: &Path) -> Result<(), Failure> {
     write_whole(path, text.as_bytes())
 }
 
-/// Writes a file of bytes.
-pub(crate) fn write_bytes(bytes: &[u8], path: &Path) -> Result<(), Failure> {
-    write_whole(path, |part| {
-        fs::write(part, bytes).map_err(|error| error.to_string())
-    })
-}
-
-/// Writes beside, then renames: the path never holds half a file.
-fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+/// Writes bytes beside, then renames: the path never holds half a file.
+pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     // A link stays a link: what it points to is replaced.
     let place = fs::canonicalize(path).unwrap_or_else(|_| path.into());
     let part = part_of(&place);

@@ -257,7 +257,7 @@ fn write_map(
         image::codecs::hdr::HdrEncoder::new(&mut bytes)
             .encode(&pixels, width, height)
             .map_err(|error| Failure::new(Exit::Output, format!("{}: {error}", path.display())))?;
-        return output::write_bytes(&bytes, path);
+        return output::write_whole(path, &bytes);
     }
     let pixels = map.iter().map(|&[r, g, b]| [r, g, b, 1.0]).collect();
     output::write_exr(&Image::new(width as u32, height as u32, pixels), path)
