@@ -17,6 +17,8 @@ const GAIN_SIGMA: f64 = 0.1;
 const OVERLAP_SIGMA: f64 = 0.04;
 /// Directions over the whole sphere of which those in the overlap are compared.
 const OVERLAP_SAMPLES: usize = 20_000;
+/// A texel of which this share of pixels clips is clipped.
+const CLIPPED_SHARE: f32 = 0.33;
 /// Counts clipped pixels in the same sum as their light, which stays far below it.
 const FLAG: f32 = 64.0;
 /// Codes from here on are clipped.
@@ -281,8 +283,8 @@ impl Stitcher {
             for c in 0..3 {
                 let clipped = (sum[c] / FLAG).floor();
                 let share = weight * (sum[c] - FLAG * clipped);
-                // Where most pixels clip, so does the texel: a mean must not look open.
-                let most = 2.0 * clipped > self.per_part as f32;
+                // A sun that fills part of a texel must not be averaged away.
+                let most = CLIPPED_SHARE * self.per_part as f32 <= clipped;
                 texel[c] += if most { share.max(part.blend) } else { share };
             }
         }
