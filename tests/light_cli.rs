@@ -8,7 +8,7 @@ use holovol_light::EnvironmentMap;
 use image::codecs::jpeg::JpegEncoder;
 use image::{GrayImage, ImageBuffer, Rgb, RgbImage};
 use serde_json::{Value, json};
-use support::Bench;
+use support::{Bench, exists};
 
 const WIDTH: u32 = 128;
 const HEIGHT: u32 = 64;
@@ -325,4 +325,40 @@ fn pairs_are_stitched_and_wrong_calibrations_refused() {
     bench.write("camera.json", b"{\"version\": 1}");
     refused(&bench, &wrong, 3, &["camera.json", "lenses"]);
     refused(&bench, &["calibrate", "--out", "c.json"], 2, &["--pair"]);
+}
+
+/// A real sun, clipped by 16 EV, from one 8-bit picture: found, and its strength within 1 EV.
+#[test]
+fn a_real_sun_is_restored() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../../shared/data/hdri/kloppenheim_05_1k.hdr");
+    if !exists(&path) {
+        eprintln!("skipped: {} is not there", path.display());
+        return;
+    }
+    let bench = Bench::new();
+    let truth = EnvironmentMap::load(&path).unwrap();
+    let code = |l: f32| {
+        let light = f64::from(l).min(1.0);
+        (holovol_light::response::linear_to_srgb(light) * 255.0).round() as u8
+    };
+    let picture = RgbImage::from_fn(1024, 512, |x, y| {
+        Rgb(truth.texel(i64::from(x), i64::from(y)).map(code))
+    });
+    picture.save(bench.path("day.png")).unwrap();
+    let (line, found) = light(&bench, "day.png");
+    let sun = &line["lights"][0];
+    assert_eq!(sun["class"], "sun");
+    assert!((sun["direction"][1].as_f64().unwrap() - 75.0_f64.to_radians().sin()).abs() < 0.02);
+    let grid = holovol_light::Grid::new(1024, 512);
+    let flux = |map: &EnvironmentMap| holovol_light::measure::luminous_flux(&grid, map.texels());
+    let bias = (flux(&found) / flux(&truth)).log2();
+    assert!(bias.abs() < 1.0, "{bias}");
+    let as_is = truth
+        .texels()
+        .iter()
+        .map(|t| t.map(|c| c.min(1.0)))
+        .collect();
+    let as_is = (flux(&EnvironmentMap::new(1024, 512, as_is)) / flux(&truth)).log2();
+    assert!(as_is < -1.2, "{as_is}");
 }

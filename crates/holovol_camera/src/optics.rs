@@ -134,12 +134,13 @@ fn mei_ray(distorted: DVec2, xi: f64, k: [f64; 3], p: [f64; 2], edge: f64) -> Op
     }
     // Far outside the circle the iteration goes anywhere.
     let (radial, bend) = parts(m);
-    if !((m * radial + bend - distorted).length() < 1e-9) {
+    let off = (m * radial + bend - distorted).length();
+    if off.is_nan() || off > 1e-9 {
         return None;
     }
     let r = m.length_squared();
     let root = 1.0 + (1.0 - xi * xi) * r;
-    if !(root >= 0.0) {
+    if root.is_nan() || root < 0.0 {
         return None;
     }
     let factor = (xi + root.sqrt()) / (r + 1.0);

@@ -101,7 +101,8 @@ impl VirtualCamera {
         if !(8..=8192).contains(&self.size) {
             return Err(CameraError::Size(self.size));
         }
-        if !(self.room.min_element() > 0.5 * self.baseline) {
+        let wall = self.room.min_element();
+        if wall.is_nan() || wall <= 0.5 * self.baseline {
             return Err(CameraError::Room(0.5 * self.baseline));
         }
         let light = [0, 1].map(|lens| self.expose(lens, map));

@@ -309,6 +309,10 @@ const RIDGE: f64 = 0.2;
 /// Share of cases that ± 2σ should hold.
 const INSIDE: f64 = 0.98;
 
+/// The model's spread is not narrowed by more than this: the few cases of a rung share their
+/// panoramas, and one draw of a meter's noise.
+const LEAST_SCALE: f64 = 0.8;
+
 /// What σ has to be scaled by, per rung, for ± 2σ to hold the truth as often as it should.
 fn calibrate(cases: &[(&Case, &[Observation])], mut prior: Prior) -> [f64; 5] {
     prior.sigma_scale = [1.0; 5];
@@ -326,7 +330,11 @@ fn calibrate(cases: &[(&Case, &[Observation])], mut prior: Prior) -> [f64; 5] {
     std::array::from_fn(|rung| {
         let of_it = misses.iter().flatten().filter(|(_, r)| *r == rung);
         let scale = 0.5 * quantile(of_it.map(|(miss, _)| *miss).collect(), INSIDE);
-        if scale > 0.0 { scale } else { 1.0 }
+        if scale > 0.0 {
+            scale.max(LEAST_SCALE)
+        } else {
+            1.0
+        }
     })
 }
 

@@ -289,7 +289,11 @@ mod tests {
         let grid = Grid::new(width, height);
         let texels = (0..width * height).map(|i| {
             let [x, y, z] = grid.direction(i % width, i / width);
-            [1.0 + 0.5 * x, 2.0 + y * z, 1.0 - 0.9 * y]
+            [
+                1.0 + 0.5 * x + 0.4 * x * y,
+                2.0 + y * z,
+                1.0 - 0.6 * y + 0.3 * x * z + 0.2 * x * x,
+            ]
         });
         EnvironmentMap::new(width, height, texels.collect())
     }

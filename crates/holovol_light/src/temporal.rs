@@ -280,6 +280,35 @@ mod tests {
     }
 
     #[test]
+    fn a_lamp_that_brightens_much_does_so_at_once_and_little_slowly() {
+        let mut estimator = Estimator::new(WIDTH, HEIGHT, Prior::default());
+        let picture = picture(50.0, 0.0, 0.0);
+        let frames = [Exposure {
+            ev: 0.0,
+            radiance: &picture,
+        }];
+        estimator.estimate(&Evidence {
+            frames: &frames,
+            ..Default::default()
+        });
+        let after = |factor: f64| {
+            let mut filter = TemporalFilter::new(WIDTH, HEIGHT);
+            let lights = estimator.lights().to_vec();
+            for _ in 0..30 {
+                filter.update(estimator.radiance(), &lights, 1.0 / 30.0, 0.0);
+            }
+            let mut brighter = lights.clone();
+            for light in &mut brighter {
+                light.irradiance = light.irradiance.map(|e| e * factor);
+            }
+            filter.update(estimator.radiance(), &brighter, 1.0 / 30.0, 0.0);
+            filter.lights()[0].irradiance[1] / lights[0].irradiance[1]
+        };
+        assert!((after(8.0) - 8.0).abs() < 1e-6, "{}", after(8.0));
+        assert!(after(1.2) < 1.1, "{}", after(1.2));
+    }
+
+    #[test]
     fn flicker_is_damped() {
         let wobble = |i: i32| if i % 2 == 0 { 0.05 } else { -0.05 };
         let frames: Vec<_> = (0..40).map(|i| (50.0, 0.0, wobble(i))).collect();

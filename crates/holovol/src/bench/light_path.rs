@@ -247,11 +247,7 @@ pub(super) struct Change {
 
 /// Measures T (DESIGN §6) for what may happen between two frames of each panorama.
 pub(super) fn changes(maps: &[EnvironmentMap]) -> Vec<Change> {
-    let events: [(
-        &'static str,
-        &'static str,
-        fn(&[[f32; 3]], Grid2) -> Option<Vec<[f32; 3]>>,
-    ); 6] = [
+    let events: [(&'static str, &'static str, Happening); 6] = [
         ("nothing", "0", |texels, _| Some(texels.to_vec())),
         ("sensor noise", "< 0.05", |texels, _| Some(noisy(texels))),
         (
@@ -303,6 +299,9 @@ pub(super) fn changes(maps: &[EnvironmentMap]) -> Vec<Change> {
 /// Width and height.
 type Grid2 = [usize; 2];
 
+/// What happens to a map; `None` where it can't.
+type Happening = fn(&[[f32; 3]], Grid2) -> Option<Vec<[f32; 3]>>;
+
 /// 2 % of noise, and what a sensor has in the dark.
 fn noisy(texels: &[[f32; 3]]) -> Vec<[f32; 3]> {
     let mut state = 0x1234_5678_9abc_def1_u64;
@@ -343,21 +342,23 @@ fn moved_sun(texels: &[[f32; 3]], [width, height]: Grid2) -> Option<Vec<[f32; 3]
     let mut out = texels.to_vec();
     let (mut moved, mut all) = (0.0, 0.0);
     let level = texels[(sun_x + width / 2) % width + width * sun_y];
-    for i in 0..texels.len() {
-        let (x, y) = (i % width, i / width);
-        let weight = f64::from(grid.solid_angle(y));
-        all += l(i) * weight;
+    let near = |x: usize, y: usize| {
         let at = DVec3::from_array(grid.direction(x, y).map(f64::from));
-        if at.angle_between(centre) < 3.0_f64.to_radians() {
-            moved += l(i) * weight;
-            out[i] = level;
+        at.angle_between(centre) < 3.0_f64.to_radians()
+    };
+    for (i, texel) in out.iter_mut().enumerate() {
+        let (x, y) = (i % width, i / width);
+        let flux = l(i) * f64::from(grid.solid_angle(y));
+        all += flux;
+        if near(x, y) {
+            moved += flux;
+            *texel = level;
         }
     }
-    for i in 0..texels.len() {
+    for (i, texel) in texels.iter().enumerate() {
         let (x, y) = (i % width, i / width);
-        let at = DVec3::from_array(grid.direction(x, y).map(f64::from));
-        if at.angle_between(centre) < 3.0_f64.to_radians() {
-            out[(x + shift) % width + width * y] = texels[i];
+        if near(x, y) {
+            out[(x + shift) % width + width * y] = *texel;
         }
     }
     (moved > 0.2 * all).then_some(out)

@@ -70,14 +70,13 @@ pub(crate) fn linear(path: &Path, response: &Response) -> Result<Linear, Failure
         .map(|texel| [0, 1, 2].map(|c| lookup(&curve[c], texel[c])))
         .collect();
     let (mut width, mut height) = (width, height);
-    if let Some(sphere) = xmp::photo_sphere(&bytes) {
-        if let Some((w, h, whole)) = sphere.uncrop(width, height, &texels) {
-            notes.push(format!(
-                "{}: covers part of the sphere as its metadata says; the rest repeats its edge",
-                path.display()
-            ));
-            (width, height, texels) = (w, h, whole);
-        }
+    let whole = xmp::photo_sphere(&bytes).and_then(|sphere| sphere.uncrop(width, height, &texels));
+    if let Some((whole_width, whole_height, whole)) = whole {
+        notes.push(format!(
+            "{}: covers part of the sphere as its metadata says; the rest repeats its edge",
+            path.display()
+        ));
+        (width, height, texels) = (whole_width, whole_height, whole);
     }
     Ok(Linear {
         width,

@@ -64,7 +64,7 @@ fn exposure(text: &str) -> Result<(PathBuf, f64), Failure> {
     if let Some((path, ev)) = text.rsplit_once('@')
         && let Ok(ev) = ev.parse::<f64>()
     {
-        if !(ev.abs() <= 40.0) {
+        if ev.is_nan() || ev.abs() > 40.0 {
             return Err(Failure::new(
                 Exit::Usage,
                 format!("--ldr {text}: an exposure of {ev} EV, expected −40 … 40"),

@@ -23,12 +23,12 @@ pub struct Prior {
 impl Default for Prior {
     fn default() -> Self {
         Self {
-            sun_over_sky: 2.276,
+            sun_over_sky: 2.287,
             sun_sigma: 0.6,
             gain: 1.942,
             gain_per_sharpness: 0.605,
-            gain_sigma: 1.995,
-            sigma_scale: [1.08, 1.49, 0.87, 0.59, 0.71],
+            gain_sigma: 1.996,
+            sigma_scale: [1.08, 1.48, 0.87, 0.8, 0.8],
         }
     }
 }

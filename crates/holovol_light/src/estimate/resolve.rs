@@ -34,7 +34,7 @@ impl Estimator {
             }
         });
         self.marks.extend(marks);
-        if !(level > 0.0) || self.marks.iter().all(|&mark| mark == 0) {
+        if level.is_nan() || level <= 0.0 || self.marks.iter().all(|&mark| mark == 0) {
             return;
         }
         let mut found = std::mem::take(&mut self.bright);

@@ -390,6 +390,23 @@ mod tests {
     }
 
     #[test]
+    fn opencv_parameters_are_imported_at_its_pixel_centres() {
+        let matrix = [[410.0, 0.0, 719.5], [0.0, 411.0, 720.5], [0.0, 0.0, 1.0]];
+        let lens = (matrix, [0.01, -0.002, 0.0, 0.0]);
+        let camera = Calibration::from_opencv_fisheye([lens, lens], [1440; 2], 190.0).unwrap();
+        let found = &camera.lenses[0].projection;
+        assert_eq!(found.centre(), glam::DVec2::new(720.0, 721.0));
+        // OpenCV: θ_d = θ(1 + k₁θ² + k₂θ⁴), u = fx·θ_d + cx.
+        let theta = 1.0_f64;
+        let pixel = found
+            .project(DVec3::new(theta.sin(), 0.0, theta.cos()))
+            .unwrap();
+        assert!((pixel.x - (410.0 * 1.008 + 720.0)).abs() < 1e-9, "{pixel}");
+        let skewed = ([[410.0, 5.0, 0.0], matrix[1], matrix[2]], lens.1);
+        assert!(Calibration::from_opencv_fisheye([skewed, lens], [1440; 2], 190.0).is_err());
+    }
+
+    #[test]
     fn offset_strings_are_imported_or_refused() {
         let lens = "2_1100.0_1101.0_720_721_0_0_0_0_0_0_0.1_0.01_0_0.001_0.002_1440_1440_113";
         let camera = Calibration::from_insta360_offset(&format!("2_{lens}_{lens}")).unwrap();

@@ -17,6 +17,10 @@ const GAIN_SIGMA: f64 = 0.1;
 const OVERLAP_SIGMA: f64 = 0.04;
 /// Directions over the whole sphere of which those in the overlap are compared.
 const OVERLAP_SAMPLES: usize = 20_000;
+/// A texel of which this share of pixels clips is clipped.
+const CLIPPED_SHARE: f32 = 0.33;
+/// Counts clipped pixels in the same sum as their light, which stays far below it.
+const FLAG: f32 = 64.0;
 /// Codes from here on are clipped.
 const CLIPPED_CODE: u8 = 253;
 /// Share of a new frame's gain that is taken over at once.
@@ -79,6 +83,8 @@ pub struct Stitcher {
     /// correct vignetting only.
     overlap: Vec<[Tap; 2]>,
     table: [[f32; 256]; 3],
+    /// The table with [`FLAG`] on the codes that are clipped.
+    flagged: [[f32; 256]; 3],
     gains: [f32; 2],
     started: bool,
 }
@@ -170,6 +176,13 @@ impl Stitcher {
             }
             row
         };
+        let table = calibration.response.table();
+        let mut flagged = table;
+        for table in &mut flagged {
+            for value in &mut table[usize::from(CLIPPED_CODE)..] {
+                *value += FLAG;
+            }
+        }
         Ok(Self {
             width: grid.width(),
             height: grid.height(),
@@ -181,7 +194,8 @@ impl Stitcher {
             rows: (0..grid.height()).into_par_iter().map(build).collect(),
             per_part: side * side,
             overlap: overlap_taps(calibration, axes, reach),
-            table: calibration.response.table(),
+            table,
+            flagged,
             gains: [1.0; 2],
             started: false,
         })
@@ -260,18 +274,17 @@ impl Stitcher {
                 continue;
             }
             let mut sum = [0.0_f32; 3];
-            let mut clipped = [0_u32; 3];
             for &index in pixels {
                 let pixel = picture[index as usize];
                 for c in 0..3 {
-                    sum[c] += self.table[c][usize::from(pixel[c])];
-                    clipped[c] += u32::from(pixel[c] >= CLIPPED_CODE);
+                    sum[c] += self.flagged[c][usize::from(pixel[c])];
                 }
             }
             for c in 0..3 {
-                let share = weight * sum[c];
-                // Where most pixels clip, so does the texel: a mean must not look open.
-                let most = 2 * clipped[c] as usize > self.per_part;
+                let clipped = (sum[c] / FLAG).floor();
+                let share = weight * (sum[c] - FLAG * clipped);
+                // A sun that fills part of a texel must not be averaged away.
+                let most = CLIPPED_SHARE * self.per_part as f32 <= clipped;
                 texel[c] += if most { share.max(part.blend) } else { share };
             }
         }
