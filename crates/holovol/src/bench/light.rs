@@ -144,7 +144,10 @@ pub(super) fn run(args: &BenchLightArgs) -> Result<(), Failure> {
         .iter()
         .enumerate()
         .map(|(panorama, map)| {
-            bar.set(0.5 + 0.5 * panorama as f64 / maps.len() as f64, "estimating");
+            bar.set(
+                0.5 + 0.5 * panorama as f64 / maps.len() as f64,
+                "estimating",
+            );
             let turns = (0..rotations * CLIPPED_SHARES.len()).into_par_iter();
             turns
                 .map(|i| {
