@@ -14,6 +14,8 @@ mod failure;
 mod info;
 mod output;
 mod picture;
+#[cfg(feature = "preview")]
+mod preview;
 mod progress;
 mod render;
 mod thumbnail;
@@ -49,6 +51,8 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
         Command::Compare(args) => compare::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Demo(args) => demo::run(&args),
+        #[cfg(feature = "preview")]
+        Command::Preview(args) => preview::run(&args),
         Command::Bench(command) => bench::run(&command),
         Command::Completions { shell } => {
             let mut script = Vec::new();
