@@ -226,8 +226,11 @@ impl Show<'_, '_> {
                 session.name = name;
             }
             Opened::TransferFunction(asset) => {
+                // A window of its own belongs to it; else that of the scan stays.
+                if let Some([low, high]) = asset.file().window {
+                    medium.window = Some((low, high));
+                }
                 material.0 = self.transfer_functions.add(asset);
-                medium.set_changed();
                 session.status = Some(Status::Done(format!("{name} is the transfer function")));
             }
             Opened::Environment(asset) => {
