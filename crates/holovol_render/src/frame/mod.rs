@@ -22,6 +22,7 @@ use holovol_volume::CELL_SIZE;
 pub(crate) use kernels::FrameKernels;
 pub use kernels::Kernels;
 use readback::Readback;
+#[cfg(test)]
 pub(crate) use resume::RESUME;
 use resume::Resume;
 use view::Slot;
