@@ -61,6 +61,9 @@ pub enum Command {
     Stitch(StitchArgs),
     /// Find a camera's lens parameters and its response
     Calibrate(CalibrateArgs),
+    /// Open a window on scans, scenes, transfer functions and light maps
+    #[cfg(feature = "preview")]
+    Preview(PreviewArgs),
     /// Measure speed and error on this machine
     #[command(subcommand)]
     Bench(BenchCommand),
@@ -92,6 +95,38 @@ pub enum Interpolation {
     Exact,
     /// By the texture unit, with 8-bit weights on most GPUs: faster, slightly biased
     Hardware,
+}
+
+/// `holovol preview`
+#[cfg(feature = "preview")]
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Without a file it shows a head phantom in a living room, both made by holovol itself. Files and
+folders can also be dropped on the window. The panel (Tab) lists the keys.
+
+Examples:
+  holovol preview
+  holovol preview scan.nii.gz
+  holovol preview scan.nii.gz bone.tf.json room.hdr
+  holovol preview scene.json")]
+pub struct PreviewArgs {
+    /// Scans, folders of DICOM files, scenes, *.tf.json, *.hdr, *.exr
+    #[arg(value_name = "FILE")]
+    pub files: Vec<PathBuf>,
+    /// Size of the window, logical pixels
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x800", value_parser = window_size)]
+    pub size: [u32; 2],
+    /// Close the window after as many frames
+    #[arg(long, value_name = "N", hide = true)]
+    pub frames: Option<u32>,
+}
+
+#[cfg(feature = "preview")]
+fn window_size(text: &str) -> Result<[u32; 2], String> {
+    let parse = |n: &str| n.parse().ok().filter(|n| (64..=16384).contains(n));
+    text.split_once('x')
+        .and_then(|(width, height)| Some([parse(width)?, parse(height)?]))
+        .ok_or_else(|| "expected two numbers from 64 to 16384, such as 1280x800".to_owned())
 }
 
 /// `holovol render`

@@ -17,6 +17,8 @@ mod interrupt;
 mod light;
 mod output;
 mod picture;
+#[cfg(feature = "preview")]
+mod preview;
 mod progress;
 mod render;
 mod thumbnail;
@@ -56,6 +58,8 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
         Command::Light(args) => light::run(&args),
         Command::Stitch(args) => light::stitch::run(&args),
         Command::Calibrate(args) => light::stitch::calibrate(&args),
+        #[cfg(feature = "preview")]
+        Command::Preview(args) => preview::run(&args),
         Command::Bench(command) => bench::run(&command),
         Command::Completions { shell } => {
             let mut script = Vec::new();

@@ -3,7 +3,7 @@ mod radiance;
 
 use std::f64::consts::{PI, TAU};
 use std::fs::File;
-use std::io::{BufReader, Read, Seek};
+use std::io::{BufRead, BufReader, Cursor, Read, Seek};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -165,12 +165,31 @@ impl EnvironmentMap {
             path: path.into(),
             source,
         };
-        let mut file = File::open(path).map_err(io)?;
+        let file = File::open(path).map_err(io)?;
         let file_len = file.metadata().map_err(io)?.len();
+        Self::decode(path, BufReader::new(file), file_len)
+    }
+
+    /// Reads the contents of such a file; `name` is what messages call it.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn from_bytes(name: &Path, bytes: &[u8]) -> Result<Self, LightError> {
+        Self::decode(name, Cursor::new(bytes), bytes.len() as u64)
+    }
+
+    fn decode(
+        path: &Path,
+        mut reader: impl BufRead + Seek,
+        file_len: u64,
+    ) -> Result<Self, LightError> {
+        let io = |source| LightError::Io {
+            path: path.into(),
+            source,
+        };
         let mut magic = Vec::new();
-        (&mut file).take(4).read_to_end(&mut magic).map_err(io)?;
-        file.rewind().map_err(io)?;
-        let reader = BufReader::new(file);
+        (&mut reader).take(4).read_to_end(&mut magic).map_err(io)?;
+        reader.rewind().map_err(io)?;
         let decoded = match magic.as_slice() {
             [0x76, 0x2f, 0x31, 0x01] => openexr::read(reader, file_len),
             [b'#', b'?', ..] => radiance::read(reader),

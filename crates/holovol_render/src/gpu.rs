@@ -120,7 +120,12 @@ impl Gpu {
 
     /// Runs calls that may fail on the device inside error scopes, so that a failure comes back
     /// as a `Result` and never reaches the device's (possibly somebody else's) error handler.
-    pub(crate) fn scoped<T>(
+    ///
+    /// `what` and `bytes` are for the message.
+    ///
+    /// # Errors
+    /// [`RenderError::OutOfMemory`], or [`RenderError::Internal`] if the calls were wrong.
+    pub fn scoped<T>(
         &self,
         what: &str,
         bytes: u64,

@@ -41,6 +41,31 @@ fn texture(view_dimension: TextureViewDimension, filterable: bool) -> BindingTyp
 }
 
 impl Gpu {
+    /// A buffer that holds `contents`; call it within an error scope.
+    ///
+    /// Written through the queue: mapping a buffer of a device that has just been lost would panic.
+    pub(crate) fn filled(
+        &self,
+        label: &str,
+        contents: &[u8],
+        usage: wgpu::BufferUsages,
+    ) -> wgpu::Buffer {
+        let usage = usage | wgpu::BufferUsages::COPY_DST;
+        let buffer = self.empty(label, contents.len() as u64, usage);
+        self.queue.write_buffer(&buffer, 0, contents);
+        buffer
+    }
+
+    /// A buffer of zeros; call it within an error scope.
+    pub(crate) fn empty(&self, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size,
+            usage,
+            mapped_at_creation: false,
+        })
+    }
+
     pub(crate) fn bind_group_layout(
         &self,
         label: &str,

@@ -13,8 +13,11 @@
 //! # Ok(()) }
 //! ```
 
+mod composite;
+mod depth;
 mod error;
 mod fetch;
+mod frame;
 mod gpu;
 mod layout;
 mod majorant;
@@ -28,9 +31,14 @@ pub mod testing;
 mod trace;
 mod volume;
 
+pub use composite::{CompositePlace, CompositeTarget, Compositor};
+pub use depth::{DepthLayers, DepthSource, MeshDepth};
 pub use error::RenderError;
+pub use frame::{FrameImage, FrameTracer, FrameWork, Kernels, ViewFrame};
 pub use gpu::{Gpu, wanted_features, wanted_limits};
 pub use majorant::MajorantGrid;
-pub use trace::{Counters, Guide, Interpolation, TraceOptions, Tracer};
+pub use trace::{
+    Counters, GpuEnvironment, Guide, Interpolation, MAX_VIEWS, Medium, TraceOptions, Tracer, View,
+};
 pub use volume::GpuVolume;
 pub use wgpu;

@@ -50,6 +50,11 @@ pub(crate) fn source(file: &ShaderFile) -> Cow<'static, str> {
     }
 }
 
+/// The seed of the n-th image (1, 2, …) that a [`FrameTracer`](crate::FrameTracer) begins.
+pub fn beginning_seed(seed: u64, beginning: u64) -> u64 {
+    crate::frame::beginning_seed(seed, beginning)
+}
+
 /// Smallest and largest texel of each cell as the GPU found them, x fastest.
 ///
 /// # Errors

@@ -94,6 +94,13 @@ fn open(args: &DeviceArgs) -> Result<Device, Failure> {
     }
 }
 
+/// Phantom and room, of the usual size.
+#[cfg(feature = "preview")]
+pub(crate) fn scene_in_memory() -> Result<holovol_scene::Scene, Failure> {
+    let sequence = Sequence::with_data(&scene(512), phantom::volume()?, room::environment())?;
+    Ok(sequence.frame(0)?)
+}
+
 fn scene(size: u32) -> SceneFile {
     SceneFile {
         version: SceneFile::VERSION,

@@ -2,7 +2,10 @@ use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 use naga::{AddressSpace, Binding, ResourceBinding, ShaderStage};
 
 use super::*;
+use crate::composite::{COMPOSITE, CompositeUniform};
+use crate::depth::{DEPTH, SourceUniform};
 use crate::fetch::FETCH;
+use crate::frame::RESUME;
 use crate::majorant::MAJORANT;
 use crate::trace::TRACE;
 use crate::trace::contract::CONTRACT;
@@ -20,6 +23,10 @@ const PLAIN: &[(&str, u32)] = &[
     ("ENVIRONMENT_CANDIDATES", 1),
     ("SCATTER_CANDIDATES", 1),
     ("SLICES", 1),
+    ("MESH_DEPTH", 0),
+    ("CLIP_PLANES", 0),
+    ("CLIP_PLANES_MAX", 8),
+    ("VIEWS_MAX", 8),
     ("GUIDES", 0),
     ("STATISTICS", 0),
     ("WHITE_NOISE", 0),
@@ -68,6 +75,9 @@ fn variants() -> Vec<ShaderDefs> {
             vec![("SLICES", 0)],
             vec![("SLICES", 0), ("HARDWARE_INTERPOLATION", 1), surface],
             vec![("STATISTICS", 1)],
+            vec![("MESH_DEPTH", 1)],
+            vec![("CLIP_PLANES", 1)],
+            vec![("CLIP_PLANES", 8), ("MESH_DEPTH", 1), surface],
             vec![("WHITE_NOISE", 1)],
             vec![("TRANSFER_POINTS", 0), surface],
             vec![("TRANSFER_POINTS", 1)],
@@ -91,6 +101,49 @@ fn variants() -> Vec<ShaderDefs> {
     variants
 }
 
+fn resume_defs() -> ShaderDefs {
+    vec![
+        ("COUNTERS", 8),
+        ("SAVED_PATHS", 0),
+        ("RESUMED_PATHS", 6),
+        ("UNLIMITED", 7),
+        ("QUEUE_CAPACITY", 65536),
+        ("WORKGROUP_SIZE", 64),
+    ]
+}
+
+#[test]
+fn small_structs_lie_in_memory_as_their_kernels_read_them() {
+    assert_same_layout!(
+        &COMPOSITE,
+        &Vec::new(),
+        "Composite",
+        CompositeUniform {
+            origin,
+            origin_dx,
+            origin_dy,
+            direction,
+            direction_dx,
+            direction_dy,
+            clip,
+            viewport,
+            image,
+            scale,
+        }
+    );
+    assert_same_layout!(
+        &DEPTH,
+        &vec![("MULTISAMPLED", 0)],
+        "Source",
+        SourceUniform {
+            view_z,
+            view_w,
+            viewport,
+            layers,
+        }
+    );
+}
+
 fn validated(file: &ShaderFile, defs: &ShaderDefs) -> (naga::Module, ModuleInfo) {
     let module = match compose(file, defs) {
         Ok(module) => module,
@@ -109,9 +162,12 @@ fn every_variant_of_every_kernel_is_valid() {
     }
     validated(&FETCH, &with(&[]));
     validated(&CONTRACT, &with(&[("SURFACE", 1)]));
-    for slices in [0, 1] {
-        validated(&MAJORANT, &vec![("CELL_SIZE", 8), ("SLICES", slices)]);
+    for flag in [0, 1] {
+        validated(&MAJORANT, &vec![("CELL_SIZE", 8), ("SLICES", flag)]);
+        validated(&DEPTH, &vec![("MULTISAMPLED", flag)]);
     }
+    validated(&RESUME, &resume_defs());
+    validated(&COMPOSITE, &Vec::new());
 }
 
 fn bindings(module: &naga::Module) -> Vec<ResourceBinding> {
@@ -135,6 +191,8 @@ fn kernels_translate_for_every_driver() {
         ("GUIDES", 1),
         ("STATISTICS", 1),
         ("SUBGROUPS", 1),
+        ("MESH_DEPTH", 1),
+        ("CLIP_PLANES", 8),
     ]);
     let slices = |slices| vec![("CELL_SIZE", 8), ("SLICES", slices)];
     let kernels = [
@@ -144,6 +202,9 @@ fn kernels_translate_for_every_driver() {
         (&FETCH, with(&[])),
         (&MAJORANT, slices(0)),
         (&MAJORANT, slices(1)),
+        (&DEPTH, vec![("MULTISAMPLED", 0)]),
+        (&DEPTH, vec![("MULTISAMPLED", 1)]),
+        (&RESUME, resume_defs()),
     ];
     for (file, defs) in kernels {
         let (module, info) = validated(file, &defs);
@@ -246,7 +307,7 @@ fn bindings_are_dense_and_within_webgpus_limits() {
 /// Names of the bound variables, in the order in which Rust lists their types.
 #[test]
 fn bindings_keep_the_order_of_the_layouts() {
-    let (module, _) = validated(&TRACE, &with(&[("GUIDES", 1)]));
+    let (module, _) = validated(&TRACE, &with(&[("GUIDES", 1), ("MESH_DEPTH", 1)]));
     let name = |wanted: u32| {
         let mut variables = module.global_variables.iter();
         variables.find_map(|(_, v)| match v.binding {

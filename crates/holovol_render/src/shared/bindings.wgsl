@@ -4,19 +4,6 @@
 // Lengths in metres, directions and normals in world space unless "texel" is said: texel
 // coordinates run over [0, dims], voxel i spans [i, i + 1).
 struct Scene {
-    // Camera rays at pixel position (x, y): texel origin and texels per metre of depth, each
-    // base + x * dx + y * dy, and the same direction in world space.
-    ray_origin: vec4<f32>,
-    ray_origin_dx: vec4<f32>,
-    ray_origin_dy: vec4<f32>,
-    ray_texel: vec4<f32>,
-    ray_texel_dx: vec4<f32>,
-    ray_texel_dy: vec4<f32>,
-    ray_world: vec4<f32>,
-    ray_world_dx: vec4<f32>,
-    ray_world_dy: vec4<f32>,
-    // xyz: the camera's axis; w: depth along it, in metres, at which ray_origin lies.
-    forward: vec4<f32>,
     // Rows of the 3x3 matrix that turns a world direction into texels per metre.
     texel_from_world_x: vec4<f32>,
     texel_from_world_y: vec4<f32>,
@@ -35,16 +22,38 @@ struct Scene {
     environment_size: vec4<f32>,
     // As TransferPoint.density, if there are few points.
     transfer_density: array<vec4<f32>, #{UNROLLED_POINTS}>,
+    // Planes that cut the volume: what lies at dot(xyz, texel) + w < 0 is left out.
+    clip: array<vec4<f32>, #{CLIP_PLANES_MAX}>,
+}
+
+// One image, and what it is seen from.
+struct View {
+    // Camera rays at pixel position (x, y): texel origin and texels per metre of depth, each
+    // base + x * dx + y * dy, and the same direction in world space.
+    ray_origin: vec4<f32>,
+    ray_origin_dx: vec4<f32>,
+    ray_origin_dy: vec4<f32>,
+    ray_texel: vec4<f32>,
+    ray_texel_dx: vec4<f32>,
+    ray_texel_dy: vec4<f32>,
+    ray_world: vec4<f32>,
+    ray_world_dx: vec4<f32>,
+    ray_world_dy: vec4<f32>,
+    // xyz: the camera's axis; w: depth along it, in metres, at which ray_origin lies.
+    forward: vec4<f32>,
+    // x, y: pixels across and down; z: its first pixel in the accumulators; w: seed.
+    image: vec4<u32>,
+    // x, y: samples [start, end) of every pixel; zw: unused.
+    samples: vec4<u32>,
+    // Depth of opaque meshes. x, y: pixels across and down; z: first layer; w: layers, one for
+    // each sample of multisampling, 0: nothing is in the way.
+    mesh_depth: vec4<u32>,
 }
 
 struct Dispatch {
-    // Pixels: first of the tile, and size of the tile.
+    // Pixels: first of the tile, and size of the tile; of every view.
     tile_origin: vec2<u32>,
     tile_size: vec2<u32>,
-    image_size: vec2<u32>,
-    // Samples [start, end) of every pixel.
-    sample_start: u32,
-    sample_end: u32,
     seed: u32,
     // Rounds after which a path is saved for the next dispatch.
     budget: u32,
@@ -67,8 +76,10 @@ struct Counters {
     lookups: atomic<u32>,
     cells: atomic<u32>,
     covered_samples: atomic<u32>,
-    padding_a: atomic<u32>,
-    padding_b: atomic<u32>,
+    // Paths to go on with besides dispatch.resumed_paths, counted without asking the host.
+    resumed_paths: atomic<u32>,
+    // Not 0: paths are not saved, however long they are.
+    unlimited: atomic<u32>,
 }
 
 struct TransferPoint {
@@ -105,3 +116,6 @@ struct SavedPath {
 // Per pixel, sums of: (depth, depth^2, gradient magnitude, weight), (albedo, not summed: the depth
 // from which the others are measured), (normal, 0).
 @group(0) @binding(13) var<storage, read_write> guides: array<vec4<f32>>;
+@group(0) @binding(14) var<uniform> views: array<View, #{VIEWS_MAX}>;
+// Metres along the camera's axis.
+@group(0) @binding(15) var mesh_depth_texture: texture_2d_array<f32>;

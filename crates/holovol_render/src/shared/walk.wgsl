@@ -8,6 +8,8 @@ const CELL_SIZE: f32 = #{CELL_SIZE}.0;
 // Below this many texels per metre along an axis, the ray never leaves its slab.
 const PARALLEL: f32 = 1e-30;
 const NEVER: f32 = 3e38;
+// A ray with a smaller cosine to a clip plane's normal stays on its side.
+const ALONG_PLANE: f32 = 1e-9;
 
 const WALK_MOVING: u32 = 0u;
 const WALK_COLLISION: u32 = 1u;
@@ -65,6 +67,25 @@ fn walk_majorant(cell: vec3<i32>) -> f32 {
     return textureLoad(majorant_texture, cell, 0).x;
 }
 
+// Cuts a walk to what the clip planes leave.
+fn walk_clip(walk: ptr<function, Walk>) {
+#if CLIP_PLANES > 0
+    for (var i = 0u; i < #{CLIP_PLANES}u; i += 1u) {
+        let plane = scene.clip[i];
+        let height = dot(plane.xyz, (*walk).origin) + plane.w;
+        // Per metre along the ray: the cosine to the plane's normal.
+        let rate = dot(plane.xyz, (*walk).direction);
+        if abs(rate) < ALONG_PLANE {
+            (*walk).t_end = select((*walk).t_end, -NEVER, height < 0.0);
+        } else if rate > 0.0 {
+            (*walk).t_cell = max((*walk).t_cell, -height / rate);
+        } else {
+            (*walk).t_end = min((*walk).t_end, -height / rate);
+        }
+    }
+#endif
+}
+
 // Enters the occupied box; t_end <= t_cell if the ray misses it.
 fn walk_start(origin: vec3<f32>, direction: vec3<f32>, t_start: f32, tau: f32) -> Walk {
     var walk: Walk;
@@ -82,6 +103,7 @@ fn walk_start(origin: vec3<f32>, direction: vec3<f32>, t_start: f32, tau: f32) -
     let far = select(max(t0, t1), vec3<f32>(NEVER), parallel);
     walk.t_cell = max(max(near.x, near.y), max(near.z, t_start));
     walk.t_end = min(min(far.x, far.y), far.z);
+    walk_clip(&walk);
     if walk.t_end > walk.t_cell {
         let entry = origin + walk.t_cell * direction;
         walk.cell = clamp(vec3<i32>(floor(entry / CELL_SIZE)), low_cell, high_cell - 1);

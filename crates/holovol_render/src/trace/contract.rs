@@ -1,11 +1,10 @@
 //! Runs single functions of the tracer's kernel, under a scene's own bindings and definitions.
 
 use bytemuck::Zeroable;
-use holovol_light::EnvironmentSampler;
 use holovol_scene::Scene;
 
 use super::uniforms::DispatchUniform;
-use super::{TraceOptions, Tracer, WORKGROUP_SIZE, shader_defs};
+use super::{TraceOptions, Tracer, WORKGROUP_SIZE};
 use crate::shader::{ShaderFile, shader_file};
 use crate::{Gpu, RenderError};
 
@@ -17,8 +16,6 @@ pub(crate) const CONTRACT: ShaderFile = shader_file!("contract.wgsl");
 /// A tracer whose buffers carry the inputs and outputs of single functions.
 pub struct Contract {
     gpu: Gpu,
-    scene: Scene,
-    options: TraceOptions,
     tracer: Tracer,
     lanes: u32,
 }
@@ -45,8 +42,6 @@ impl Contract {
         Ok(Self {
             gpu: gpu.clone(),
             tracer: Tracer::new(gpu, &scene, &options)?,
-            scene,
-            options,
             lanes,
         })
     }
@@ -65,12 +60,9 @@ impl Contract {
     /// If there are more inputs than lanes.
     pub fn call(&mut self, entry: &str, inputs: &[Lane]) -> Result<Vec<Lane>, RenderError> {
         assert!(inputs.len() <= self.lanes as usize, "a lane for each input");
-        let map = &self.scene.environment.map;
-        let no_density = map.as_constant().is_some() || EnvironmentSampler::new(map).is_none();
-        let slices = self.tracer.volume.slices;
-        let defs = shader_defs(&self.gpu, &self.scene, &self.options, no_density, slices);
         let tracer = &mut self.tracer;
-        let layout = &tracer.resources.layout;
+        let defs = tracer.defs.clone();
+        let layout = &tracer.layout;
         let pipeline = self.gpu.pipeline(&CONTRACT, &defs, entry, layout)?;
         let contents = bytemuck::cast_slice(inputs);
         self.gpu

@@ -6,28 +6,36 @@
 //! 1/√samples without a floor. Paths that outlive a dispatch go on in the next one.
 
 mod check;
+pub(crate) use check::medium as check_medium;
 #[cfg(any(test, feature = "testing"))]
 pub(crate) mod contract;
+mod environment;
+mod medium;
 mod resources;
 #[cfg(test)]
 pub(crate) mod tests;
 pub(crate) mod uniforms;
 mod variant;
+mod view;
 
 use std::time::Instant;
 
 use bytemuck::{Pod, Zeroable};
-use holovol_light::EnvironmentSampler;
 use holovol_scene::Scene;
 use holovol_volume::CELL_SIZE;
 
 use crate::fetch::FETCH;
 use crate::shader::ShaderDefs;
 use crate::{Gpu, GpuVolume, MajorantGrid, RenderError};
-use resources::Resources;
-use uniforms::{DispatchUniform, kernel_seed};
+pub use environment::GpuEnvironment;
+pub use medium::Medium;
+pub(crate) use resources::{Buffers, layout};
+pub use uniforms::MAX_VIEWS;
+pub(crate) use uniforms::{DispatchUniform, ViewUniform, kernel_seed};
+use variant::PICKS;
 pub(crate) use variant::TRACE;
-use variant::{PICKS, QUEUE_CAPACITY, WORKGROUP_SIZE, shader_defs};
+pub(crate) use variant::{QUEUE_CAPACITY, Surroundings, WORKGROUP_SIZE, shader_defs};
+pub use view::View;
 
 /// How values between voxel centres are found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -122,14 +130,24 @@ pub struct Guide {
 
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
-struct GpuCounters {
-    saved_paths: u32,
-    majorant_violations: u32,
-    nonfinite_samples: u32,
-    lookups: u32,
-    cells: u32,
-    covered_samples: u32,
-    padding: [u32; 2],
+pub(crate) struct GpuCounters {
+    pub(crate) saved_paths: u32,
+    pub(crate) majorant_violations: u32,
+    pub(crate) nonfinite_samples: u32,
+    pub(crate) lookups: u32,
+    pub(crate) cells: u32,
+    pub(crate) covered_samples: u32,
+    pub(crate) resumed_paths: u32,
+    pub(crate) unlimited: u32,
+}
+
+impl GpuCounters {
+    /// Where fields lie, in words.
+    pub(crate) const SAVED_PATHS: u32 = (std::mem::offset_of!(Self, saved_paths) / 4) as u32;
+    pub(crate) const RESUMED_PATHS: u32 = (std::mem::offset_of!(Self, resumed_paths) / 4) as u32;
+    pub(crate) const UNLIMITED: u32 = (std::mem::offset_of!(Self, unlimited) / 4) as u32;
+    /// Byte at which the two of them begin that steer the flow.
+    pub(crate) const FLOW: u64 = 4 * Self::RESUMED_PATHS as u64;
 }
 
 /// Samples of a pixel in one dispatch, at most.
@@ -143,7 +161,10 @@ const SOFTWARE_DISPATCH_SECONDS: f64 = 0.2;
 pub struct Tracer {
     gpu: Gpu,
     volume: GpuVolume,
-    resources: Resources,
+    layout: wgpu::BindGroupLayout,
+    resources: Buffers,
+    bind_groups: [wgpu::BindGroup; 2],
+    view: ViewUniform,
     defs: ShaderDefs,
     trace_pipeline: wgpu::ComputePipeline,
     /// Goes on with saved paths; compiled when there is one.
@@ -164,7 +185,8 @@ impl Tracer {
     /// # Errors
     /// If the scene can't be traced or doesn't fit the device, or the device fails.
     pub fn new(gpu: &Gpu, scene: &Scene, options: &TraceOptions) -> Result<Self, RenderError> {
-        check::scene(scene)?;
+        check::medium(&Medium::from_scene(scene), scene.volume.dims())?;
+        check::camera(scene)?;
         let volume = GpuVolume::new(
             gpu,
             &scene.volume,
@@ -172,22 +194,32 @@ impl Tracer {
             options.exact_volume,
         )?;
         let majorants = MajorantGrid::new(gpu, &volume, options.cell_size)?;
-        let s_from_texel = volume.s_from_texel(&scene.volume, scene.window);
-        majorants.update(gpu, &scene.transfer_function, s_from_texel)?;
-        let constant = scene.environment.map.as_constant().is_some();
-        let sampler = if constant {
-            None
-        } else {
-            EnvironmentSampler::new(&scene.environment.map)
+        let medium = Medium::from_scene(scene);
+        let s_from_texel = volume.s_from_texel(medium.window);
+        majorants.update(gpu, &medium.transfer_function, s_from_texel)?;
+        let environment = GpuEnvironment::new(gpu, &scene.environment.map)?;
+        let pixels = u64::from(scene.camera.width) * u64::from(scene.camera.height);
+        let layout = layout(gpu, options.interpolation, volume.slices)?;
+        let mut resources = Buffers::new(gpu, pixels, options)?;
+        resources.set_medium(gpu, &medium, &volume, &majorants, &environment)?;
+        let bind_groups =
+            resources.bind_groups(gpu, &layout, &volume, &majorants, &environment, None)?;
+        let surroundings = Surroundings {
+            constant_environment: environment.is_constant(),
+            has_density: environment.has_density(),
+            slices: volume.slices,
+            mesh_depth: false,
         };
-        let resources = Resources::new(gpu, scene, options, &volume, &majorants, sampler.as_ref())?;
-        let defs = shader_defs(gpu, scene, options, sampler.is_none(), volume.slices);
-        let trace_pipeline = gpu.pipeline(&TRACE, &defs, "trace", &resources.layout)?;
+        let defs = shader_defs(gpu, &medium, options, surroundings);
+        let trace_pipeline = gpu.pipeline(&TRACE, &defs, "trace", &layout)?;
         let software = gpu.info().device_type == wgpu::DeviceType::Cpu;
         let mut tracer = Self {
             gpu: gpu.clone(),
+            view: ViewUniform::new(&View::from_camera(&scene.camera), &medium, &volume),
             volume,
+            layout,
             resources,
+            bind_groups,
             defs,
             trace_pipeline,
             resume_pipeline: None,
@@ -334,14 +366,15 @@ impl Tracer {
         let mut uniform = DispatchUniform {
             tile_origin,
             tile_size,
-            image_size: self.image_size,
-            sample_start,
-            sample_end,
-            seed: kernel_seed(self.options.seed),
+            seed: 0,
             budget: self.options.budget,
             resumed_paths: 0,
             queue_capacity: QUEUE_CAPACITY,
         };
+        self.view.image[3] = kernel_seed(self.options.seed);
+        self.view.samples = [sample_start, sample_end, 0, 0];
+        let view = bytemuck::bytes_of(&self.view);
+        self.gpu.queue.write_buffer(&self.resources.views, 0, view);
         let groups = tile_size.map(|n| n.div_ceil(8).max(1));
         let pipeline = self.trace_pipeline.clone();
         let mut saved = self.submit(&uniform, &pipeline, 0, groups)?;
@@ -361,7 +394,7 @@ impl Tracer {
         if let Some(pipeline) = &self.resume_pipeline {
             return Ok(pipeline.clone());
         }
-        let layout = &self.resources.layout;
+        let layout = &self.layout;
         let pipeline = self.gpu.pipeline(&TRACE, &self.defs, "resume", layout)?;
         Ok(self.resume_pipeline.insert(pipeline).clone())
     }
@@ -385,7 +418,7 @@ impl Tracer {
                 timestamp_writes: None,
             });
             pass.set_pipeline(pipeline);
-            pass.set_bind_group(0, &self.resources.bind_groups[queue], &[]);
+            pass.set_bind_group(0, &self.bind_groups[queue], &[]);
             pass.dispatch_workgroups(x, y, 1);
             drop(pass);
             gpu.queue.submit([encoder.finish()]);
@@ -412,7 +445,7 @@ impl Tracer {
             ..DispatchUniform::zeroed()
         };
         let groups = lanes.div_ceil(WORKGROUP_SIZE);
-        let layout = &self.resources.layout;
+        let layout = &self.layout;
         let pipeline = self.gpu.pipeline(&FETCH, &self.defs, "fetch", layout)?;
         // The first dispatch may compile.
         self.submit(&DispatchUniform::zeroed(), &pipeline, 0, [1, 1])?;

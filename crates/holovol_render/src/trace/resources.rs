@@ -1,144 +1,143 @@
 //! What the kernel is bound to: buffers, textures and the groups that hold them.
 
-use holovol_light::EnvironmentSampler;
-use holovol_scene::Scene;
 use wgpu::BufferUsages as Usage;
-use wgpu::util::DeviceExt;
 
-use super::uniforms::{DispatchUniform, SceneUniform, transfer_points};
+use super::environment::GpuEnvironment;
+use super::uniforms::{DispatchUniform, MAX_VIEWS, SceneUniform, ViewUniform, transfer_points};
 use super::variant::{QUEUE_CAPACITY, SAVED_PATH_VECTORS};
-use super::{GpuCounters, Interpolation, TraceOptions};
+use super::{GpuCounters, Interpolation, Medium, TraceOptions};
 use crate::layout::{storage, texture_2d, texture_2d_array, texture_3d, uniform};
 use crate::{Gpu, GpuVolume, MajorantGrid, RenderError};
 
-/// The tracer's buffers that the host writes or reads, and its bind groups.
-pub(super) struct Resources {
-    pub(super) layout: wgpu::BindGroupLayout,
-    /// Two, that differ in which path queue is read and which is written.
-    pub(super) bind_groups: [wgpu::BindGroup; 2],
-    pub(super) dispatch: wgpu::Buffer,
-    pub(super) accumulators: wgpu::Buffer,
-    pub(super) guides: wgpu::Buffer,
-    pub(super) counters: wgpu::Buffer,
+/// What is bound besides the volume and the environment.
+pub(crate) struct Buffers {
+    pub(crate) scene: wgpu::Buffer,
+    pub(crate) dispatch: wgpu::Buffer,
+    pub(crate) views: wgpu::Buffer,
+    pub(crate) points: wgpu::Buffer,
+    pub(crate) accumulators: wgpu::Buffer,
+    pub(crate) guides: wgpu::Buffer,
+    pub(crate) counters: wgpu::Buffer,
+    queues: [wgpu::Buffer; 2],
+    field_sampler: wgpu::Sampler,
+    /// 1 × 1, while no mesh is in the way.
+    no_mesh_depth: wgpu::TextureView,
 }
 
-impl Resources {
-    pub(super) fn new(
-        gpu: &Gpu,
-        scene: &Scene,
-        options: &TraceOptions,
-        volume: &GpuVolume,
-        majorants: &MajorantGrid,
-        sampler: Option<&EnvironmentSampler>,
-    ) -> Result<Self, RenderError> {
-        let layout = layout(gpu, options.interpolation, volume.slices)?;
-        let environment = upload_environment(gpu, scene)?;
-        let alias: Vec<[u32; 2]> = match sampler {
-            Some(sampler) => {
-                let entries = sampler.entries().iter();
-                entries
-                    .map(|entry| [entry.threshold.to_bits(), entry.alias])
-                    .collect()
-            }
-            None => vec![[0, 0]],
-        };
-        let scene_uniform = SceneUniform::new(scene, volume, majorants.cells(), sampler);
-        let points = transfer_points(&scene.transfer_function);
-        let pixels = u64::from(scene.camera.width) * u64::from(scene.camera.height);
+impl Buffers {
+    /// Room for images of `pixels` pixels in all.
+    pub(crate) fn new(gpu: &Gpu, pixels: u64, options: &TraceOptions) -> Result<Self, RenderError> {
+        let pixels = pixels.max(1);
         let queue = u64::from(QUEUE_CAPACITY) * u64::from(SAVED_PATH_VECTORS + options.picks) * 16;
         let guide_bytes = if options.guides { 48 * pixels } else { 48 };
         let bytes = 32 * pixels + 2 * queue + guide_bytes;
         gpu.scoped("the image", bytes, || {
-            let filled = |label, contents, usage| {
-                gpu.device
-                    .create_buffer_init(&wgpu::util::BufferInitDescriptor {
-                        label: Some(label),
-                        contents,
-                        usage,
-                    })
-            };
-            let empty = |label, size, usage| {
-                gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                    label: Some(label),
-                    size,
-                    usage,
-                    mapped_at_creation: false,
-                })
-            };
-            let scene_buffer = filled(
-                "holovol scene",
-                bytemuck::bytes_of(&scene_uniform),
-                Usage::UNIFORM,
-            );
-            let points = filled(
-                "holovol points",
-                bytemuck::cast_slice(&points),
-                Usage::STORAGE,
-            );
-            let alias = filled(
-                "holovol light",
-                bytemuck::cast_slice(&alias),
-                Usage::STORAGE,
-            );
-            let dispatch = empty(
-                "holovol dispatch",
-                size_of::<DispatchUniform>() as u64,
-                Usage::UNIFORM | Usage::COPY_DST,
-            );
+            let written = Usage::UNIFORM | Usage::COPY_DST;
             let readable = Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST;
-            let accumulators = empty("holovol image", 32 * pixels, readable);
-            let guides = empty("holovol guides", guide_bytes, readable);
-            let counters = empty(
-                "holovol counters",
-                size_of::<GpuCounters>() as u64,
-                readable,
-            );
-            let queues = [0, 1].map(|_| empty("holovol paths", queue, Usage::STORAGE));
             let filter = match options.interpolation {
                 Interpolation::Exact => wgpu::FilterMode::Nearest,
                 Interpolation::Hardware => wgpu::FilterMode::Linear,
             };
-            let field_sampler = gpu.device.create_sampler(&wgpu::SamplerDescriptor {
-                label: Some("holovol volume"),
-                mag_filter: filter,
-                min_filter: filter,
-                ..Default::default()
+            let no_mesh_depth = gpu.device.create_texture(&wgpu::TextureDescriptor {
+                label: Some("holovol no mesh depth"),
+                size: wgpu::Extent3d::default(),
+                mip_level_count: 1,
+                sample_count: 1,
+                dimension: wgpu::TextureDimension::D2,
+                format: wgpu::TextureFormat::R32Float,
+                usage: wgpu::TextureUsages::TEXTURE_BINDING,
+                view_formats: &[],
             });
-            let bind_groups = [[0, 1], [1, 0]].map(|[resumed, saved]: [usize; 2]| {
+            let views = (MAX_VIEWS * size_of::<ViewUniform>()) as u64;
+            Self {
+                scene: gpu.empty("holovol scene", size_of::<SceneUniform>() as u64, written),
+                dispatch: gpu.empty(
+                    "holovol dispatch",
+                    size_of::<DispatchUniform>() as u64,
+                    written,
+                ),
+                views: gpu.empty("holovol views", views, written),
+                points: gpu.empty("holovol points", 48, Usage::STORAGE),
+                accumulators: gpu.empty("holovol image", 32 * pixels, readable),
+                guides: gpu.empty("holovol guides", guide_bytes, readable),
+                counters: gpu.empty(
+                    "holovol counters",
+                    size_of::<GpuCounters>() as u64,
+                    readable,
+                ),
+                queues: [0, 1].map(|_| gpu.empty("holovol paths", queue, Usage::STORAGE)),
+                field_sampler: gpu.device.create_sampler(&wgpu::SamplerDescriptor {
+                    label: Some("holovol volume"),
+                    mag_filter: filter,
+                    min_filter: filter,
+                    ..Default::default()
+                }),
+                no_mesh_depth: no_mesh_depth.create_view(&wgpu::TextureViewDescriptor {
+                    dimension: Some(wgpu::TextureViewDimension::D2Array),
+                    ..Default::default()
+                }),
+            }
+        })
+    }
+
+    /// Writes what a medium says; its points take another buffer.
+    pub(crate) fn set_medium(
+        &mut self,
+        gpu: &Gpu,
+        medium: &Medium,
+        volume: &GpuVolume,
+        majorants: &MajorantGrid,
+        environment: &GpuEnvironment,
+    ) -> Result<(), RenderError> {
+        let scene = SceneUniform::new(medium, volume, majorants.cells(), environment);
+        let points = transfer_points(&medium.transfer_function);
+        let contents = bytemuck::cast_slice(&points);
+        self.points = gpu.scoped("the transfer function", contents.len() as u64, || {
+            gpu.queue
+                .write_buffer(&self.scene, 0, bytemuck::bytes_of(&scene));
+            gpu.filled("holovol points", contents, Usage::STORAGE)
+        })?;
+        Ok(())
+    }
+
+    /// Two groups, that differ in which path queue is read and which is written.
+    pub(crate) fn bind_groups(
+        &self,
+        gpu: &Gpu,
+        layout: &wgpu::BindGroupLayout,
+        volume: &GpuVolume,
+        majorants: &MajorantGrid,
+        environment: &GpuEnvironment,
+        mesh_depth: Option<&wgpu::TextureView>,
+    ) -> Result<[wgpu::BindGroup; 2], RenderError> {
+        let mesh_depth = mesh_depth.unwrap_or(&self.no_mesh_depth);
+        gpu.scoped("the image", 0, || {
+            [[0, 1], [1, 0]].map(|[resumed, saved]: [usize; 2]| {
                 let resources = [
-                    scene_buffer.as_entire_binding(),
-                    dispatch.as_entire_binding(),
+                    self.scene.as_entire_binding(),
+                    self.dispatch.as_entire_binding(),
                     wgpu::BindingResource::TextureView(&volume.view),
-                    wgpu::BindingResource::Sampler(&field_sampler),
+                    wgpu::BindingResource::Sampler(&self.field_sampler),
                     wgpu::BindingResource::TextureView(&majorants.view),
                     majorants.occupied.as_entire_binding(),
-                    points.as_entire_binding(),
-                    wgpu::BindingResource::TextureView(&environment),
-                    alias.as_entire_binding(),
-                    accumulators.as_entire_binding(),
-                    counters.as_entire_binding(),
-                    queues[resumed].as_entire_binding(),
-                    queues[saved].as_entire_binding(),
-                    guides.as_entire_binding(),
+                    self.points.as_entire_binding(),
+                    wgpu::BindingResource::TextureView(&environment.view),
+                    environment.alias.as_entire_binding(),
+                    self.accumulators.as_entire_binding(),
+                    self.counters.as_entire_binding(),
+                    self.queues[resumed].as_entire_binding(),
+                    self.queues[saved].as_entire_binding(),
+                    self.guides.as_entire_binding(),
+                    self.views.as_entire_binding(),
+                    wgpu::BindingResource::TextureView(mesh_depth),
                 ];
-                gpu.bind_group("holovol trace", &layout, resources)
-            });
-            (bind_groups, dispatch, accumulators, guides, counters)
+                gpu.bind_group("holovol trace", layout, resources)
+            })
         })
-        .map(
-            |(bind_groups, dispatch, accumulators, guides, counters)| Self {
-                layout,
-                bind_groups,
-                dispatch,
-                accumulators,
-                guides,
-                counters,
-            },
-        )
     }
 }
 
-fn layout(
+pub(crate) fn layout(
     gpu: &Gpu,
     interpolation: Interpolation,
     slices: bool,
@@ -168,50 +167,8 @@ fn layout(
         storage(true),
         storage(false),
         storage(false),
+        uniform(),
+        texture_2d_array(false),
     ];
     gpu.bind_group_layout("holovol trace", &entries)
-}
-
-/// The map as 32-bit floats: suns pass what 16 bits hold. One texel if it is constant.
-fn upload_environment(gpu: &Gpu, scene: &Scene) -> Result<wgpu::TextureView, RenderError> {
-    let map = &scene.environment.map;
-    let constant = map.as_constant().is_some();
-    let (width, height) = if constant {
-        (1, 1)
-    } else {
-        (map.width() as u32, map.height() as u32)
-    };
-    let limit = gpu.device.limits().max_texture_dimension_2d;
-    if width > limit || height > limit {
-        return Err(RenderError::Scene {
-            field: "environment",
-            reason: format!("map of {width} × {height}: this device holds at most {limit} a side"),
-        });
-    }
-    let texels: Vec<[f32; 4]> = map.texels()[..width as usize * height as usize]
-        .iter()
-        .map(|&[r, g, b]| [r, g, b, 0.0])
-        .collect();
-    gpu.scoped("the environment", 16 * texels.len() as u64, || {
-        let texture = gpu.device.create_texture_with_data(
-            &gpu.queue,
-            &wgpu::TextureDescriptor {
-                label: Some("holovol environment"),
-                size: wgpu::Extent3d {
-                    width,
-                    height,
-                    depth_or_array_layers: 1,
-                },
-                mip_level_count: 1,
-                sample_count: 1,
-                dimension: wgpu::TextureDimension::D2,
-                format: wgpu::TextureFormat::Rgba32Float,
-                usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
-                view_formats: &[],
-            },
-            wgpu::util::TextureDataOrder::LayerMajor,
-            bytemuck::cast_slice(&texels),
-        );
-        texture.create_view(&Default::default())
-    })
 }

@@ -21,6 +21,8 @@ pub(crate) const BINDINGS: &[&str] = &[
     "resumed",
     "saved",
     "guides",
+    "views",
+    "mesh_depth_texture",
 ];
 
 #[test]
@@ -31,16 +33,6 @@ fn structs_lie_in_memory_as_the_kernel_reads_them() {
         &defs,
         "Scene",
         SceneUniform {
-            ray_origin,
-            ray_origin_dx,
-            ray_origin_dy,
-            ray_texel,
-            ray_texel_dx,
-            ray_texel_dy,
-            ray_world,
-            ray_world_dx,
-            ray_world_dy,
-            forward,
             texel_from_world_x,
             texel_from_world_y,
             texel_from_world_z,
@@ -51,6 +43,27 @@ fn structs_lie_in_memory_as_the_kernel_reads_them() {
             environment,
             environment_size,
             transfer_density,
+            clip,
+        }
+    );
+    assert_same_layout!(
+        &TRACE,
+        &defs,
+        "View",
+        ViewUniform {
+            ray_origin,
+            ray_origin_dx,
+            ray_origin_dy,
+            ray_texel,
+            ray_texel_dx,
+            ray_texel_dy,
+            ray_world,
+            ray_world_dx,
+            ray_world_dy,
+            forward,
+            image,
+            samples,
+            mesh_depth,
         }
     );
     assert_same_layout!(
@@ -60,9 +73,6 @@ fn structs_lie_in_memory_as_the_kernel_reads_them() {
         DispatchUniform {
             tile_origin,
             tile_size,
-            image_size,
-            sample_start,
-            sample_end,
             seed,
             budget,
             resumed_paths,
@@ -90,6 +100,8 @@ fn structs_lie_in_memory_as_the_kernel_reads_them() {
             lookups,
             cells,
             covered_samples,
+            resumed_paths,
+            unlimited,
         }
     );
 }

@@ -7,7 +7,8 @@
 // expectation instead of a coin toss (Novak et al. 2014, ratio tracking).
 
 #import holovol_render::bindings::{
-    scene, dispatch, accumulators, counters, guides, resumed, saved, SavedPath,
+    scene, views, dispatch, accumulators, counters, guides, resumed, saved, SavedPath,
+    mesh_depth_texture,
 }
 #import holovol_render::random::{pcg3d, sobol_pair, unit_float, unit_float_pair, unit_float_triple}
 #import holovol_render::field::{field_at, field_gradient}
@@ -17,8 +18,8 @@
 #import holovol_render::surface::{Surface, scatter_eval, scatter_pdf, scatter_sample}
 #import holovol_render::scattering::choose_light
 #import holovol_render::walk::{
-    Walk, walk_start, walk_advance, walk_distance, walk_next, walk_majorant, walk_deepen, WALK_COLLISION,
-    WALK_LEFT, load_occupied, walk_cells_entered,
+    Walk, walk_start, walk_advance, walk_deepen, walk_distance, walk_next, walk_majorant,
+    WALK_COLLISION, WALK_LEFT, NEVER, load_occupied, walk_cells_entered,
 }
 
 // What a lane does next.
@@ -37,6 +38,8 @@ const SMALLEST_WEIGHT: f32 = 0.000244140625;
 const MANY_COLLISIONS: u32 = 1024u;
 // Collisions of the camera's flight that are lit.
 const PICKS: u32 = #{PICKS}u;
+// A saved path keeps its pick in the bits below.
+const VIEW_SHIFT: u32 = 8u;
 const FOLD_SAMPLES: u32 = #{FOLD_SAMPLES}u;
 // Well-spread dimensions: pixel position, first collision, and from here two for each scattering.
 const DIMENSION_PIXEL: u32 = 0u;
@@ -48,6 +51,8 @@ const STREAM_STRIDE: u32 = 16u;
 
 struct Path {
     stage: u32,
+    view: u32,
+    // In its view.
     pixel: u32,
     sample: u32,
     sample_end: u32,
@@ -79,15 +84,16 @@ fn path_random(path: ptr<function, Path>) -> vec3<f32> {
     return unit_float_triple(bits);
 }
 
-fn path_key(pixel: u32, sample: u32) -> vec2<u32> {
-    return pcg3d(vec3<u32>(pixel, sample, dispatch.seed)).xy;
+fn path_key(view: u32, pixel: u32, sample: u32) -> vec2<u32> {
+    return pcg3d(vec3<u32>(pixel, sample, views[view].image.w)).xy;
 }
 
 fn well_spread(path: Path, index: u32, dimension: u32) -> vec2<f32> {
+    let view_seed = views[path.view].image.w;
 #if WHITE_NOISE == 1
-    return unit_float_pair(pcg3d(vec3<u32>(path.pixel, index, dispatch.seed ^ (0x85ebca6bu * (dimension + 1u)))).xy);
+    return unit_float_pair(pcg3d(vec3<u32>(path.pixel, index, view_seed ^ (0x85ebca6bu * (dimension + 1u)))).xy);
 #else
-    let seed = pcg3d(vec3<u32>(path.pixel, dispatch.seed ^ 0x85ebca6bu, dimension)).x;
+    let seed = pcg3d(vec3<u32>(path.pixel, view_seed ^ 0x85ebca6bu, dimension)).x;
     return sobol_pair(index, seed);
 #endif
 }
@@ -122,28 +128,49 @@ fn begin_flight(path: ptr<function, Path>, origin: vec3<f32>, direction: vec3<f3
     begin_walk(path, STAGE_FLIGHT, walk_start(origin, direction, 0.0, optical_depth_draw(xi.x)));
 }
 
+#if MESH_DEPTH == 1
+// Metres along the camera's axis to the first opaque mesh. Samples take turns with those of
+// multisampling.
+fn mesh_depth(view: u32, position: vec2<f32>, sample: u32) -> f32 {
+    let map = views[view].mesh_depth;
+    if map.w == 0u {
+        return NEVER;
+    }
+    let size = vec2<f32>(map.xy);
+    let texel = clamp(position * size / vec2<f32>(views[view].image.xy), vec2<f32>(0.0), size - 1.0);
+    return textureLoad(mesh_depth_texture, vec2<u32>(texel), map.z + sample % map.w, 0).x;
+}
+#endif
+
 fn start_sample(path: ptr<function, Path>) {
     if (*path).sample >= (*path).sample_end {
         return;
     }
-    (*path).key = path_key((*path).pixel, (*path).sample);
+    (*path).key = path_key((*path).view, (*path).pixel, (*path).sample);
     (*path).counter = 0u;
     (*path).depth = 0u;
     (*path).throughput = vec3<f32>(1.0);
     (*path).radiance = vec3<f32>(0.0);
     (*path).opacity = 0.0;
-    let width = dispatch.image_size.x;
+    let view = (*path).view;
+    let width = views[view].image.x;
     let corner = vec2<f32>(f32((*path).pixel % width), f32((*path).pixel / width));
     let position = corner + well_spread(*path, (*path).sample, DIMENSION_PIXEL);
-    let origin = scene.ray_origin + position.x * scene.ray_origin_dx
-        + position.y * scene.ray_origin_dy;
-    let texel = scene.ray_texel + position.x * scene.ray_texel_dx + position.y * scene.ray_texel_dy;
-    let world = scene.ray_world + position.x * scene.ray_world_dx + position.y * scene.ray_world_dy;
+    let origin = views[view].ray_origin + position.x * views[view].ray_origin_dx
+        + position.y * views[view].ray_origin_dy;
+    let texel = views[view].ray_texel + position.x * views[view].ray_texel_dx
+        + position.y * views[view].ray_texel_dy;
+    let world = views[view].ray_world + position.x * views[view].ray_world_dx
+        + position.y * views[view].ray_world_dy;
     let metres_per_depth = length(world.xyz);
     (*path).wo = -world.xyz / metres_per_depth;
     begin_flight(
         path, origin.xyz, texel.xyz / metres_per_depth, well_spread(*path, (*path).sample, DIMENSION_FLIGHT),
     );
+#if MESH_DEPTH == 1
+    let depth = mesh_depth(view, position, (*path).sample) - views[view].forward.w;
+    (*path).walk.t_end = min((*path).walk.t_end, depth * metres_per_depth);
+#endif
     if (*path).walk.t_end <= (*path).walk.t_cell {
         (*path).stage = STAGE_FINISH;
     }
@@ -160,7 +187,7 @@ fn finish_sample(path: ptr<function, Path>) {
         value = vec4<f32>(0.0);
         atomicAdd(&counters.nonfinite_samples, 1u);
     }
-    let recent = 2u * (*path).pixel;
+    let recent = 2u * (views[(*path).view].image.z + (*path).pixel);
     let sum = accumulators[recent] + value;
     (*path).sample += 1u;
     if (*path).sample % FOLD_SAMPLES == 0u {
@@ -195,6 +222,7 @@ fn surface_at(texel: vec3<f32>, wo: vec3<f32>, roughness: f32, specular: f32) ->
 
 #if GUIDES == 1
 fn add_guides(
+    view: u32,
     pixel: u32,
     texel: vec3<f32>,
     wo: vec3<f32>,
@@ -202,12 +230,12 @@ fn add_guides(
     albedo: vec3<f32>,
     flight_weight: f32,
 ) {
-    let before = scene.forward.w / dot(-wo, scene.forward.xyz);
+    let before = views[view].forward.w / dot(-wo, views[view].forward.xyz);
     let depth = before + distance;
     let weight = flight_weight / f32(PICKS);
     let gradient = field_gradient(texel);
     let magnitude = length(gradient);
-    let base = 3u * pixel;
+    let base = 3u * (views[view].image.z + pixel);
     // Depths from the first one on: their variance outlives the rounding of sums.
     let sums = guides[base];
     let first = select(guides[base + 1u].w, depth, sums.w == 0.0);
@@ -234,7 +262,10 @@ fn scatter(path: ptr<function, Path>) {
     let throughput = (*path).throughput * (*path).weight_sum * material.albedo;
 #if GUIDES == 1
     if (*path).depth == 0u {
-        add_guides((*path).pixel, texel, (*path).wo, distance, material.albedo, (*path).weight_sum);
+        add_guides(
+            (*path).view, (*path).pixel, texel, (*path).wo, distance, material.albedo,
+            (*path).weight_sum,
+        );
     }
 #endif
 #if GUIDES == 1
@@ -384,9 +415,11 @@ fn save_path(path: Path, slot: u32) {
     saved[slot].words[1] = vec4<u32>(path.depth, path.counter, path.key);
     saved[slot].words[2] = bitcast<vec4<u32>>(vec4<f32>(walk.origin, walk.t_cell));
     saved[slot].words[3] = bitcast<vec4<u32>>(vec4<f32>(walk.direction, walk.tau));
-    saved[slot].words[4] = vec4<u32>(bitcast<vec3<u32>>(walk.cell), path.pick);
+    saved[slot].words[4] = vec4<u32>(
+        bitcast<vec3<u32>>(walk.cell), path.pick | path.view << VIEW_SHIFT,
+    );
     saved[slot].words[5] = bitcast<vec4<u32>>(
-        vec4<f32>(path.transmittance, path.weight_sum, 0.0, 0.0),
+        vec4<f32>(path.transmittance, path.weight_sum, walk.t_end, 0.0),
     );
     saved[slot].words[6] = bitcast<vec4<u32>>(vec4<f32>(path.wo, path.opacity));
     saved[slot].words[7] = bitcast<vec4<u32>>(vec4<f32>(path.next_wi, 0.0));
@@ -421,7 +454,10 @@ fn restore_path(slot: u32) -> Path {
     path.walk.cell = bitcast<vec3<i32>>(w4.xyz);
     path.walk.t_next = walk_next(path.walk);
     path.walk.sigma_maj = walk_majorant(path.walk.cell);
-    path.pick = w4.w;
+    path.pick = w4.w & ((1u << VIEW_SHIFT) - 1u);
+    path.view = w4.w >> VIEW_SHIFT;
+    // A mesh may have ended it before the volume does.
+    path.walk.t_end = w5.z;
     path.transmittance = w5.x;
     path.weight_sum = w5.y;
     let w6 = bitcast<vec4<f32>>(resumed[slot].words[6]);
@@ -452,7 +488,8 @@ fn count_lanes(ballot: vec4<u32>) -> u32 {
 fn run(initial: Path) {
     var path = initial;
     var lookups = 0u;
-    var budget = dispatch.budget;
+    let is_unlimited = atomicLoad(&counters.unlimited) != 0u;
+    var budget = select(dispatch.budget, 0xffffffffu, is_unlimited);
     var round = 0u;
     loop {
         if path.stage == STAGE_START && path.sample >= path.sample_end {
@@ -512,19 +549,26 @@ fn trace(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         return;
     }
     let pixel = dispatch.tile_origin + tile_pixel;
+    let image = views[group.z].image;
+    let samples = views[group.z].samples;
+    if any(pixel >= image.xy) || samples.x >= samples.y {
+        return;
+    }
     var path: Path;
     load_occupied();
     path.stage = STAGE_START;
-    path.pixel = pixel.x + dispatch.image_size.x * pixel.y;
-    path.sample = dispatch.sample_start;
-    path.sample_end = dispatch.sample_end;
+    path.view = group.z;
+    path.pixel = pixel.x + image.x * pixel.y;
+    path.sample = samples.x;
+    path.sample_end = samples.y;
     run(path);
 }
 
 @compute @workgroup_size(#{WORKGROUP_SIZE})
 fn resume(@builtin(global_invocation_id) invocation: vec3<u32>) {
-    if invocation.x < dispatch.resumed_paths {
-        load_occupied();
-        run(restore_path(invocation.x));
+    if invocation.x >= dispatch.resumed_paths + atomicLoad(&counters.resumed_paths) {
+        return;
     }
+    load_occupied();
+    run(restore_path(invocation.x));
 }

@@ -1,25 +1,15 @@
 use bytemuck::{Pod, Zeroable};
-use glam::{DMat3, DMat4, DVec3};
-use holovol_light::EnvironmentSampler;
-use holovol_scene::Scene;
+use glam::{DMat3, DMat4, DVec3, DVec4};
 use holovol_volume::TransferFunction;
 
+use super::environment::GpuEnvironment;
+use super::{Medium, View};
 use crate::GpuVolume;
 
 /// `Scene` of bindings.wgsl.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 pub(crate) struct SceneUniform {
-    pub ray_origin: [f32; 4],
-    pub ray_origin_dx: [f32; 4],
-    pub ray_origin_dy: [f32; 4],
-    pub ray_texel: [f32; 4],
-    pub ray_texel_dx: [f32; 4],
-    pub ray_texel_dy: [f32; 4],
-    pub ray_world: [f32; 4],
-    pub ray_world_dx: [f32; 4],
-    pub ray_world_dy: [f32; 4],
-    pub forward: [f32; 4],
     pub texel_from_world_x: [f32; 4],
     pub texel_from_world_y: [f32; 4],
     pub texel_from_world_z: [f32; 4],
@@ -30,6 +20,32 @@ pub(crate) struct SceneUniform {
     pub environment: [f32; 4],
     pub environment_size: [f32; 4],
     pub transfer_density: [[f32; 4]; UNROLLED_POINTS],
+    pub clip: [[f32; 4]; Medium::MAX_CLIP_PLANES],
+}
+
+/// Views that one dispatch can trace.
+pub const MAX_VIEWS: usize = 8;
+
+/// `View` of bindings.wgsl.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+pub(crate) struct ViewUniform {
+    pub ray_origin: [f32; 4],
+    pub ray_origin_dx: [f32; 4],
+    pub ray_origin_dy: [f32; 4],
+    pub ray_texel: [f32; 4],
+    pub ray_texel_dx: [f32; 4],
+    pub ray_texel_dy: [f32; 4],
+    pub ray_world: [f32; 4],
+    pub ray_world_dx: [f32; 4],
+    pub ray_world_dy: [f32; 4],
+    pub forward: [f32; 4],
+    /// Width, height, first pixel in the accumulators, seed.
+    pub image: [u32; 4],
+    /// First sample, one past the last, unused.
+    pub samples: [u32; 4],
+    /// Width, height, first layer, layers.
+    pub mesh_depth: [u32; 4],
 }
 
 /// Transfer functions of more points are searched instead of unrolled.
@@ -41,9 +57,6 @@ pub(crate) const UNROLLED_POINTS: usize = 16;
 pub(crate) struct DispatchUniform {
     pub tile_origin: [u32; 2],
     pub tile_size: [u32; 2],
-    pub image_size: [u32; 2],
-    pub sample_start: u32,
-    pub sample_end: u32,
     pub seed: u32,
     pub budget: u32,
     pub resumed_paths: u32,
@@ -63,98 +76,100 @@ fn vec4(v: DVec3, w: f64) -> [f32; 4] {
     [v.x as f32, v.y as f32, v.z as f32, w as f32]
 }
 
+/// Texel coordinates from world metres.
+fn texel_from_world(medium: &Medium, volume: &GpuVolume) -> DMat4 {
+    let extent = DVec3::from_array(volume.extent());
+    DMat4::from_scale(extent) * medium.world_from_unit_cube.inverse()
+}
+
 impl SceneUniform {
     /// Composes everything in f64, so that f32 kernels lose nothing far from the origin.
     pub fn new(
-        scene: &Scene,
+        medium: &Medium,
         volume: &GpuVolume,
         cells: [u32; 3],
-        sampler: Option<&EnvironmentSampler>,
+        environment: &GpuEnvironment,
     ) -> Self {
-        let extent = DVec3::from_array(volume.extent(scene.volume.dims()));
-        let texel_from_world = DMat4::from_scale(extent) * scene.world_from_unit_cube.inverse();
+        let texel_from_world = texel_from_world(medium, volume);
         let rotation = DMat3::from_mat4(texel_from_world);
-        let world = scene.camera.pixel_rays(DMat4::IDENTITY);
-        let texel = scene.camera.pixel_rays(texel_from_world);
-        let depth = near_depth(scene);
-        let at_depth = |direction: DVec3| depth * direction;
-        let points = scene.transfer_function.points().len() as u32;
+        let points = medium.transfer_function.points().len() as u32;
         let [x, y, z] = volume.texels();
-        let s_from_texel = volume.s_from_texel(&scene.volume, scene.window);
+        let s_from_texel = volume.s_from_texel(medium.window);
         let mut transfer_density = [[0.0; 4]; UNROLLED_POINTS];
         for (density, point) in transfer_density
             .iter_mut()
-            .zip(transfer_points(&scene.transfer_function))
+            .zip(transfer_points(&medium.transfer_function))
         {
             *density = point.density;
         }
-        let environment = &scene.environment;
-        let (sin, cos) = environment.rotation_y.sin_cos();
-        let environment_size = match environment.map.as_constant() {
-            Some(radiance) => {
-                let [r, g, b] = radiance.map(|c| (f64::from(c) * environment.scale) as f32);
-                [r, g, b, 0.0]
-            }
-            None => {
-                let map = &environment.map;
-                let normalisation = sampler.map_or(0.0, EnvironmentSampler::normalisation);
-                [
-                    map.width() as f32,
-                    map.height() as f32,
-                    normalisation as f32,
-                    0.0,
-                ]
-            }
-        };
+        // A plane meets n·x + w with x = M·texel: its row vector times M.
+        let world_from_texel = texel_from_world.inverse();
+        // A plane at infinity leaves everything.
+        let mut clip = [[0.0, 0.0, 0.0, 1.0]; Medium::MAX_CLIP_PLANES];
+        for (clip, plane) in clip.iter_mut().zip(&medium.clip_planes) {
+            let length = plane.truncate().length();
+            let plane: DVec4 = world_from_texel.transpose() * (*plane / length);
+            *clip = vec4(plane.truncate(), plane.w);
+        }
+        let (sin, cos) = medium.environment_rotation_y.sin_cos();
+        let scale = medium.environment_scale;
+        let max_scatters = medium.max_scatters.unwrap_or(u32::MAX);
         Self {
-            ray_origin: vec4(texel.origin + at_depth(texel.direction), 0.0),
-            ray_origin_dx: vec4(at_depth(texel.direction_dx), 0.0),
-            ray_origin_dy: vec4(at_depth(texel.direction_dy), 0.0),
-            ray_texel: vec4(texel.direction, 0.0),
-            ray_texel_dx: vec4(texel.direction_dx, 0.0),
-            ray_texel_dy: vec4(texel.direction_dy, 0.0),
-            ray_world: vec4(world.direction, 0.0),
-            ray_world_dx: vec4(world.direction_dx, 0.0),
-            ray_world_dy: vec4(world.direction_dy, 0.0),
-            forward: vec4(scene.camera.axes()[2], depth),
             texel_from_world_x: vec4(rotation.row(0), 0.0),
             texel_from_world_y: vec4(rotation.row(1), 0.0),
             texel_from_world_z: vec4(rotation.row(2), 0.0),
             dims: [x, y, z, points],
-            extent: vec4(extent, 0.0),
-            cells: [
-                cells[0],
-                cells[1],
-                cells[2],
-                scene.integrator.max_scatters.unwrap_or(u32::MAX),
-            ],
+            extent: vec4(DVec3::from_array(volume.extent()), 0.0),
+            cells: [cells[0], cells[1], cells[2], max_scatters],
             field: [
                 s_from_texel[0] as f32,
                 s_from_texel[1] as f32,
-                scene.phase_g as f32,
-                (scene.gradient_factor * scene.min_spacing()) as f32,
+                medium.phase_g as f32,
+                (medium.gradient_factor * medium.min_spacing(volume.dims())) as f32,
             ],
-            environment: [cos as f32, sin as f32, environment.scale as f32, 0.0],
-            environment_size,
+            environment: [cos as f32, sin as f32, scale as f32, 0.0],
+            environment_size: environment.size_or_radiance(scale),
             transfer_density,
+            clip,
+        }
+    }
+}
+
+impl ViewUniform {
+    /// A view of a volume; pixels, samples and mesh depth are left to the caller.
+    pub fn new(view: &View, medium: &Medium, volume: &GpuVolume) -> Self {
+        let texel_from_world = texel_from_world(medium, volume);
+        let depth = near_depth(view, medium);
+        let texel_point = |v| texel_from_world.transform_point3(v);
+        let texel = |v| texel_from_world.transform_vector3(v);
+        let at_depth =
+            |origin: DVec3, direction: DVec3| vec4(texel(origin + depth * direction), 0.0);
+        Self {
+            ray_origin: vec4(texel_point(view.origin + depth * view.direction), 0.0),
+            ray_origin_dx: at_depth(view.origin_dx, view.direction_dx),
+            ray_origin_dy: at_depth(view.origin_dy, view.direction_dy),
+            ray_texel: vec4(texel(view.direction), 0.0),
+            ray_texel_dx: vec4(texel(view.direction_dx), 0.0),
+            ray_texel_dy: vec4(texel(view.direction_dy), 0.0),
+            ray_world: vec4(view.direction, 0.0),
+            ray_world_dx: vec4(view.direction_dx, 0.0),
+            ray_world_dy: vec4(view.direction_dy, 0.0),
+            forward: vec4(view.forward, depth),
+            image: [view.size[0], view.size[1], 0, 0],
+            samples: [0; 4],
+            mesh_depth: [0; 4],
         }
     }
 }
 
 /// Depth of a plane in front of the camera and before the volume, from which rays may start:
 /// near the volume, their texel coordinates are small numbers, which f32 keeps well.
-fn near_depth(scene: &Scene) -> f64 {
-    let camera = &scene.camera;
-    let [_, _, forward] = camera.axes();
-    let nearest = (0..8u32)
-        .map(|corner| {
-            let unit = DVec3::new(
-                f64::from(corner & 1),
-                f64::from(corner >> 1 & 1),
-                f64::from(corner >> 2 & 1),
-            );
-            (scene.world_from_unit_cube.transform_point3(unit) - camera.eye).dot(forward)
-        })
+fn near_depth(view: &View, medium: &Medium) -> f64 {
+    let depth = |corner: DVec3| (corner - view.origin).dot(view.forward);
+    let nearest = medium
+        .corners()
+        .map(depth)
+        .into_iter()
         .fold(f64::INFINITY, f64::min);
     nearest.max(0.0)
 }

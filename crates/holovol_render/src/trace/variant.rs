@@ -1,21 +1,19 @@
 //! Which variant of the kernel a scene gets: what it doesn't use isn't compiled in.
 
-use holovol_scene::Scene;
-
-use super::uniforms::UNROLLED_POINTS;
-use super::{Interpolation, TraceOptions};
+use super::uniforms::{MAX_VIEWS, UNROLLED_POINTS};
+use super::{Interpolation, Medium, TraceOptions};
 use crate::Gpu;
 use crate::shader::{ShaderDefs, ShaderFile, shader_file};
 
 pub(crate) const TRACE: ShaderFile = shader_file!("trace.wgsl");
 
-pub(super) const WORKGROUP_SIZE: u32 = 64;
+pub(crate) const WORKGROUP_SIZE: u32 = 64;
 /// Samples in the first of a pixel's two sums; f32 keeps 1024 addends to better than 1e-4.
 pub(super) const FOLD_SAMPLES: u32 = 1024;
 /// vec4s of a saved path, besides one for each collision that a flight chooses.
 pub(super) const SAVED_PATH_VECTORS: u32 = 12;
 /// Paths that one dispatch can save: at most 16 MiB each of two queues.
-pub(super) const QUEUE_CAPACITY: u32 = 65536;
+pub(crate) const QUEUE_CAPACITY: u32 = 65536;
 /// |g| up to which the phase function varies so little that it needs no candidate of its own.
 pub(super) const NEARLY_ISOTROPIC: f64 = 0.25;
 /// Collisions of the camera's flight that are lit. Measured over the reference scenes: 4 is 1.5 to
@@ -31,30 +29,39 @@ pub(super) const SERVE_RATIO: u32 = 1;
 /// A (nearly) isotropic medium needs one: the environment's density is already that of the
 /// product. At |g| = 0.2 a second candidate was measured 15 % more efficient under a red sun and
 /// 20 % less in a living room.
-fn light_candidates(scene: &Scene, no_environment_density: bool) -> [u32; 2] {
-    if no_environment_density {
+fn light_candidates(medium: &Medium, has_density: bool) -> [u32; 2] {
+    if !has_density {
         [0, 1]
-    } else if scene.phase_g.abs() <= NEARLY_ISOTROPIC && scene.gradient_factor == 0.0 {
+    } else if medium.phase_g.abs() <= NEARLY_ISOTROPIC && medium.gradient_factor == 0.0 {
         [1, 0]
     } else {
         [1, 1]
     }
 }
 
-pub(super) fn shader_defs(
+/// What decides the variant besides the medium and the options.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Surroundings {
+    pub(crate) constant_environment: bool,
+    pub(crate) has_density: bool,
+    /// The volume is an array of slices.
+    pub(crate) slices: bool,
+    /// Paths end at meshes.
+    pub(crate) mesh_depth: bool,
+}
+
+pub(crate) fn shader_defs(
     gpu: &Gpu,
-    scene: &Scene,
+    medium: &Medium,
     options: &TraceOptions,
-    no_environment_density: bool,
-    slices: bool,
+    surroundings: Surroundings,
 ) -> ShaderDefs {
-    let points = scene.transfer_function.points();
+    let points = medium.transfer_function.points();
     let emission = points.iter().any(|point| point.emission != [0.0; 3]);
-    let multiple = scene.integrator.max_scatters != Some(0)
-        && (emission || scene.integrator.max_scatters != Some(1));
+    let multiple = medium.max_scatters != Some(0) && (emission || medium.max_scatters != Some(1));
     let [environment, scatter] = match options.light_candidates {
-        Some(candidates) if !no_environment_density => candidates,
-        _ => light_candidates(scene, no_environment_density),
+        Some(candidates) if surroundings.has_density => candidates,
+        _ => light_candidates(medium, surroundings.has_density),
     };
     let unrolled = if points.len() <= UNROLLED_POINTS {
         points.len() as u32
@@ -70,16 +77,20 @@ pub(super) fn shader_defs(
             "HARDWARE_INTERPOLATION",
             u32::from(options.interpolation == Interpolation::Hardware),
         ),
-        ("SURFACE", u32::from(scene.gradient_factor > 0.0)),
+        ("SURFACE", u32::from(medium.gradient_factor > 0.0)),
         ("EMISSION", u32::from(emission)),
         ("MULTIPLE_SCATTERING", u32::from(multiple)),
         (
             "CONSTANT_ENVIRONMENT",
-            u32::from(scene.environment.map.as_constant().is_some()),
+            u32::from(surroundings.constant_environment),
         ),
         ("ENVIRONMENT_CANDIDATES", environment),
         ("SCATTER_CANDIDATES", scatter),
-        ("SLICES", u32::from(slices)),
+        ("SLICES", u32::from(surroundings.slices)),
+        ("MESH_DEPTH", u32::from(surroundings.mesh_depth)),
+        ("CLIP_PLANES", medium.clip_planes.len() as u32),
+        ("CLIP_PLANES_MAX", Medium::MAX_CLIP_PLANES as u32),
+        ("VIEWS_MAX", MAX_VIEWS as u32),
         ("GUIDES", u32::from(options.guides)),
         ("STATISTICS", u32::from(options.statistics)),
         ("WHITE_NOISE", u32::from(options.white_noise)),

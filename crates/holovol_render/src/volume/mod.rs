@@ -17,6 +17,10 @@ pub struct GpuVolume {
     format: TextureFormat,
     texels: [u32; 3],
     factor: u32,
+    /// Of the volume it was made of: voxels along x, y, z, and value = slope · stored + intercept.
+    dims: [u32; 3],
+    slope: f64,
+    intercept: f64,
     /// stored = scale · texel + offset
     scale: f64,
     offset: f64,
@@ -149,6 +153,9 @@ impl GpuVolume {
             format: encoding.format,
             texels: source.dims(),
             factor,
+            dims: volume.dims(),
+            slope: volume.slope(),
+            intercept: volume.intercept(),
             scale: encoding.scale,
             offset: encoding.offset,
             notices,
@@ -165,16 +172,21 @@ impl GpuVolume {
         self.texels
     }
 
-    /// Texel coordinates at which a volume of these dimensions ends.
-    pub(crate) fn extent(&self, dims: [u32; 3]) -> [f64; 3] {
-        dims.map(|n| f64::from(n) / f64::from(self.factor))
+    /// Voxels along x, y, z of the volume it was made of.
+    pub fn dims(&self) -> [u32; 3] {
+        self.dims
+    }
+
+    /// Texel coordinates at which the volume ends.
+    pub(crate) fn extent(&self) -> [f64; 3] {
+        self.dims.map(|n| f64::from(n) / f64::from(self.factor))
     }
 
     /// (x, y) of s = (texel − x) · y for a window in data units.
-    pub(crate) fn s_from_texel(&self, volume: &Volume, window: [f64; 2]) -> [f64; 2] {
-        let stored = (window[0] - volume.intercept()) / volume.slope();
+    pub(crate) fn s_from_texel(&self, window: [f64; 2]) -> [f64; 2] {
+        let stored = (window[0] - self.intercept) / self.slope;
         let zero = (stored - self.offset) / self.scale;
-        [zero, self.scale * volume.slope() / (window[1] - window[0])]
+        [zero, self.scale * self.slope / (window[1] - window[0])]
     }
 
     /// What a user should know of how the volume was stored.

@@ -3,6 +3,7 @@
 
 mod determinism;
 mod draws;
+mod frames;
 mod functions;
 mod grids;
 mod guides;
@@ -46,6 +47,17 @@ const CHECKS: &[(&str, Check)] = &[
     ("same_seed_gives_the_same_bits", determinism::same_bits),
     ("guides_describe_a_slab", guides::slab),
     ("guides_give_the_gradient_of_a_ramp", guides::ramp),
+    (
+        "frames_equal_the_offline_tracer",
+        frames::equal_the_offline_tracer,
+    ),
+    (
+        "general_kernels_equal_special_ones",
+        frames::general_kernels_equal_special_ones,
+    ),
+    ("paths_end_at_meshes", frames::paths_end_at_meshes),
+    ("clip_planes_cut", frames::clip_planes_cut),
+    ("only_changes_begin_anew", frames::only_changes_begin_anew),
 ];
 
 fn main() {

@@ -3,7 +3,7 @@
 use holovol_render::Gpu;
 use holovol_render::testing::Mutation;
 
-use super::{Check, determinism, draws, functions, grids, guides};
+use super::{Check, determinism, draws, frames, functions, grids, guides};
 
 /// How a failure to compose or compile a kernel begins, see `RenderError::Internal`.
 const INVALID: &str = "internal error in";
@@ -237,5 +237,25 @@ pub const MUTATIONS: &[Caught] = &[
         "gradient / max(magnitude",
         "-gradient / max(magnitude",
         guides::ramp,
+    ),
+    // Kernels of live views are compiled on another thread, which damage doesn't reach; these are
+    // not.
+    caught(
+        "depth.wgsl",
+        "-dot(source.view_z, clip) / w",
+        "-0.95 * dot(source.view_z, clip) / w",
+        frames::paths_end_at_meshes,
+    ),
+    caught(
+        "depth.wgsl",
+        "source.layers.x + i",
+        "i",
+        frames::paths_end_at_meshes,
+    ),
+    caught(
+        "resume.wgsl",
+        "(saved + size - 1u) / size",
+        "saved / size",
+        frames::equal_the_offline_tracer,
     ),
 ];

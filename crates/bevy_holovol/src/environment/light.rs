@@ -1,0 +1,421 @@
+//! Bevy's light and sky for meshes, filtered from the map on a worker.
+
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+use bevy::asset::RenderAssetUsages;
+use bevy::light::{EnvironmentMapLight, Skybox};
+use bevy::prelude::*;
+use bevy::render::render_resource::{
+    Extent3d, TextureDimension, TextureFormat, TextureViewDescriptor, TextureViewDimension,
+};
+use bevy::tasks::{AsyncComputeTaskPool, Task, futures::check_ready};
+use glam::{DMat3, DVec3};
+use half::f16;
+use holovol_light::EnvironmentMap;
+
+use super::{EnvironmentAsset, EnvironmentSource, VolumeEnvironment};
+use crate::VolumeRenderSettings;
+
+/// Texels along a face: irradiance is smooth, reflections less so.
+const DIFFUSE_SIZE: u32 = 16;
+const SPECULAR_SIZE: u32 = 128;
+const SKY_MAX_SIZE: u32 = 1024;
+/// Cells of the grid that irradiance is summed over: 3° wide.
+const GRID_WIDTH: usize = 128;
+/// Draws for a texel of a rough reflection.
+const SPECULAR_DRAWS: u32 = 64;
+
+/// What is being filtered, and the last that was.
+#[derive(Resource, Default)]
+pub(super) struct Filtering {
+    source: Option<Arc<EnvironmentMap>>,
+    task: Option<Task<Filtered>>,
+    images: Option<Images>,
+}
+
+#[derive(Clone)]
+struct Images {
+    diffuse: Handle<Image>,
+    specular: Handle<Image>,
+    sky: Handle<Image>,
+}
+
+struct Filtered {
+    diffuse: Image,
+    specular: Image,
+    sky: Image,
+}
+
+/// Ours, so that a camera's own light and sky stay.
+#[derive(Component)]
+pub(super) struct LitByEnvironment;
+#[derive(Component)]
+pub(super) struct SkyOfEnvironment;
+
+/// The map that lights everything now; `None` while it is loading.
+#[derive(Resource, Default)]
+pub(crate) struct CurrentMap(pub(crate) Option<Arc<EnvironmentMap>>);
+
+/// Follows the source; the same light stays the same map.
+pub(super) fn update_map(
+    environment: Res<VolumeEnvironment>,
+    assets: Res<Assets<EnvironmentAsset>>,
+    mut current: ResMut<CurrentMap>,
+) {
+    let map = match &environment.source {
+        EnvironmentSource::Constant(radiance) => {
+            let texel = [radiance.red, radiance.green, radiance.blue];
+            let is_same = |map: &Arc<EnvironmentMap>| map.as_constant() == Some(texel);
+            if current.0.as_ref().is_some_and(is_same) {
+                return;
+            }
+            Some(Arc::new(EnvironmentMap::constant(texel)))
+        }
+        EnvironmentSource::Map(handle) => assets.get(handle).map(|asset| Arc::clone(asset.map())),
+    };
+    let is_same = match (&current.0, &map) {
+        (Some(a), Some(b)) => Arc::ptr_eq(a, b),
+        (None, None) => true,
+        _ => false,
+    };
+    if !is_same {
+        current.0 = map;
+    }
+}
+
+/// Starts filtering when there is another map and a camera to light, and takes in what is done.
+pub(super) fn filter(
+    environment: Res<VolumeEnvironment>,
+    current: Res<CurrentMap>,
+    cameras: Query<(), (With<Camera3d>, With<VolumeRenderSettings>)>,
+    mut filtering: ResMut<Filtering>,
+    mut images: ResMut<Assets<Image>>,
+) {
+    if let Some(filtered) = filtering.task.as_mut().and_then(check_ready) {
+        filtering.task = None;
+        filtering.images = Some(Images {
+            diffuse: images.add(filtered.diffuse),
+            specular: images.add(filtered.specular),
+            sky: images.add(filtered.sky),
+        });
+    }
+    let is_wanted = (environment.lights_meshes || environment.is_sky) && !cameras.is_empty();
+    // One at a time: live light is filtered as fast as that goes.
+    if !is_wanted || filtering.task.is_some() {
+        return;
+    }
+    let Some(map) = &current.0 else {
+        return;
+    };
+    let is_filtered = |source: &Arc<EnvironmentMap>| Arc::ptr_eq(source, map);
+    if !filtering.source.as_ref().is_some_and(is_filtered) {
+        let map = Arc::clone(map);
+        filtering.source = Some(Arc::clone(&map));
+        let task = AsyncComputeTaskPool::get().spawn(async move { filter_map(&map) });
+        filtering.task = Some(task);
+    }
+}
+
+type Camera<'a> = (
+    Entity,
+    Option<&'a EnvironmentMapLight>,
+    Option<&'a Skybox>,
+    Has<LitByEnvironment>,
+    Has<SkyOfEnvironment>,
+);
+
+/// Gives the cameras light and sky, and takes them away again.
+pub(super) fn apply(
+    mut commands: Commands,
+    environment: Res<VolumeEnvironment>,
+    filtering: Res<Filtering>,
+    cameras: Query<Camera, (With<Camera3d>, With<VolumeRenderSettings>)>,
+) {
+    let Some(images) = &filtering.images else {
+        return;
+    };
+    let rotation = Quat::from_rotation_y(environment.rotation_y);
+    for (entity, light, sky, light_is_ours, sky_is_ours) in &cameras {
+        let mut camera = commands.entity(entity);
+        if environment.lights_meshes && (light.is_none() || light_is_ours) {
+            let is_current = light.is_some_and(|light| {
+                light.diffuse_map == images.diffuse
+                    && light.intensity == environment.intensity
+                    && light.rotation == rotation
+            });
+            if !is_current {
+                let light = EnvironmentMapLight {
+                    diffuse_map: images.diffuse.clone(),
+                    specular_map: images.specular.clone(),
+                    intensity: environment.intensity,
+                    rotation,
+                    ..default()
+                };
+                camera.try_insert((light, LitByEnvironment));
+            }
+        } else if light_is_ours && !environment.lights_meshes {
+            camera.try_remove::<(EnvironmentMapLight, LitByEnvironment)>();
+        }
+        if environment.is_sky && (sky.is_none() || sky_is_ours) {
+            let is_current = sky.is_some_and(|sky| {
+                sky.image.as_ref() == Some(&images.sky)
+                    && sky.brightness == environment.intensity
+                    && sky.rotation == rotation
+            });
+            if !is_current {
+                let sky = Skybox {
+                    image: Some(images.sky.clone()),
+                    brightness: environment.intensity,
+                    rotation,
+                };
+                camera.try_insert((sky, SkyOfEnvironment));
+            }
+        } else if sky_is_ours && !environment.is_sky {
+            camera.try_remove::<(Skybox, SkyOfEnvironment)>();
+        }
+    }
+}
+
+fn filter_map(map: &EnvironmentMap) -> Filtered {
+    let sky_size = (map.width() as u32 / 4)
+        .next_power_of_two()
+        .clamp(1, SKY_MAX_SIZE);
+    let pyramid = Pyramid::new(map);
+    let grid = Grid::new(map);
+    let specular_levels = SPECULAR_SIZE.ilog2() + 1;
+    Filtered {
+        diffuse: cube(DIFFUSE_SIZE, 1, |_, direction| {
+            grid.irradiance(direction) / PI
+        }),
+        specular: cube(SPECULAR_SIZE, specular_levels, |level, direction| {
+            // As Bevy chooses levels: by perceptual roughness, from mirror to fully rough.
+            let roughness = f64::from(level) / f64::from(specular_levels - 1);
+            pyramid.reflection(direction, roughness)
+        }),
+        sky: cube(sky_size, 1, |_, direction| {
+            DVec3::from(map.radiance(direction))
+        }),
+    }
+}
+
+/// A cube map of a function of level and direction, in half floats (suns are cut at their end).
+fn cube(size: u32, levels: u32, value: impl Fn(u32, DVec3) -> DVec3) -> Image {
+    let mut data = Vec::new();
+    for face in 0..6 {
+        for level in 0..levels {
+            let size = (size >> level).max(1);
+            for j in 0..size {
+                for i in 0..size {
+                    let at = |k: u32| 2.0 * (f64::from(k) + 0.5) / f64::from(size) - 1.0;
+                    let rgb = value(level, face_direction(face, at(i), at(j)));
+                    let rgba = [rgb.x, rgb.y, rgb.z, 1.0];
+                    let limit = f64::from(f16::MAX);
+                    let halves = rgba.map(|c| f16::from_f64(c.min(limit)).to_le_bytes());
+                    data.extend(halves.into_iter().flatten());
+                }
+            }
+        }
+    }
+    let mut image = Image::new_uninit(
+        Extent3d {
+            width: size,
+            height: size,
+            depth_or_array_layers: 6,
+        },
+        TextureDimension::D2,
+        TextureFormat::Rgba16Float,
+        RenderAssetUsages::RENDER_WORLD,
+    );
+    image.data = Some(data);
+    image.texture_descriptor.mip_level_count = levels;
+    image.texture_view_descriptor = Some(TextureViewDescriptor {
+        dimension: Some(TextureViewDimension::Cube),
+        ..default()
+    });
+    image
+}
+
+/// World direction of a place on a cube's face; x, y from the top left, −1 … 1.
+///
+/// Cube maps are left-handed: Bevy negates z when it looks one up.
+fn face_direction(face: u32, x: f64, y: f64) -> DVec3 {
+    let direction = match face {
+        0 => DVec3::new(1.0, -y, -x),
+        1 => DVec3::new(-1.0, -y, x),
+        2 => DVec3::new(x, 1.0, y),
+        3 => DVec3::new(x, -1.0, -y),
+        4 => DVec3::new(x, -y, 1.0),
+        _ => DVec3::new(-x, -y, -1.0),
+    };
+    (direction * DVec3::new(1.0, 1.0, -1.0)).normalize()
+}
+
+/// Radiance times solid angle from the middle of each cell of a coarse map.
+struct Grid(Vec<(DVec3, DVec3)>);
+
+impl Grid {
+    fn new(map: &EnvironmentMap) -> Self {
+        let [columns, rows] = [GRID_WIDTH, GRID_WIDTH / 2];
+        let mut cells = vec![(DVec3::ZERO, DVec3::ZERO); columns * rows];
+        // As many samples as the map has texels, or more: none is passed over.
+        let per_cell = |texels: usize, cells: usize| texels.div_ceil(cells).max(2);
+        let [across, down] = [per_cell(map.width(), columns), per_cell(map.height(), rows)];
+        let [width, height] = [columns * across, rows * down];
+        for y in 0..height {
+            let v = (y as f64 + 0.5) / height as f64;
+            let solid_angle = 2.0 * PI * PI / (width * height) as f64 * (PI * v).sin();
+            for x in 0..width {
+                let uv = [(x as f64 + 0.5) / width as f64, v];
+                let (direction, power) = &mut cells[x / across + columns * (y / down)];
+                *direction += solid_angle * EnvironmentMap::direction_from_uv(uv);
+                *power += solid_angle * DVec3::from(map.radiance_at_uv(uv));
+            }
+        }
+        for (direction, _) in &mut cells {
+            *direction = direction.normalize_or_zero();
+        }
+        Self(cells)
+    }
+
+    fn irradiance(&self, normal: DVec3) -> DVec3 {
+        let cells = self.0.iter();
+        cells
+            .map(|&(direction, power)| normal.dot(direction).max(0.0) * power)
+            .sum()
+    }
+}
+
+/// The map, halved again and again, for lookups as wide as what they stand for.
+struct Pyramid(Vec<EnvironmentMap>);
+
+impl Pyramid {
+    fn new(map: &EnvironmentMap) -> Self {
+        let mut levels = vec![map.clone()];
+        while let Some(last) = levels.last()
+            && last.width() > 8
+            && last.height() > 4
+        {
+            let [width, height] = [last.width() / 2, last.height() / 2];
+            let texel = |i: usize| {
+                let [x, y] = [2 * (i % width) as i64, 2 * (i / width) as i64];
+                let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(a, b)| last.texel(x + a, y + b));
+                std::array::from_fn(|c| 0.25 * four.iter().map(|t| t[c]).sum::<f32>())
+            };
+            let texels = (0..width * height).map(texel).collect();
+            levels.push(EnvironmentMap::new(width, height, texels));
+        }
+        Self(levels)
+    }
+
+    /// Mean radiance over a cone of this solid angle, about.
+    fn radiance(&self, direction: DVec3, solid_angle: f64) -> DVec3 {
+        let texel = 4.0 * PI / (self.0[0].width() * self.0[0].height()) as f64;
+        let level = (0.5 * (solid_angle / texel).max(1.0).log2()).round() as usize;
+        let map = &self.0[level.min(self.0.len() - 1)];
+        DVec3::from(map.radiance(direction))
+    }
+
+    /// Light that a rough mirror sends back along its normal (Karis 2013: view = normal).
+    fn reflection(&self, normal: DVec3, perceptual_roughness: f64) -> DVec3 {
+        let alpha = perceptual_roughness * perceptual_roughness;
+        if alpha == 0.0 {
+            return self.radiance(normal, 0.0);
+        }
+        let frame = DMat3::from_quat(glam::DQuat::from_rotation_arc(DVec3::Z, normal));
+        let (mut sum, mut weights) = (DVec3::ZERO, 0.0);
+        for i in 0..SPECULAR_DRAWS {
+            // Points spread evenly: van der Corput in base 2 against their index.
+            let x = (f64::from(i) + 0.5) / f64::from(SPECULAR_DRAWS);
+            let y = f64::from(i.reverse_bits()) / 4_294_967_296.0;
+            let cos2 = (1.0 - x) / (1.0 + (alpha * alpha - 1.0) * x);
+            let (sin_phi, cos_phi) = (2.0 * PI * y).sin_cos();
+            let sin = (1.0 - cos2).max(0.0).sqrt();
+            let half = frame * DVec3::new(sin * cos_phi, sin * sin_phi, cos2.sqrt());
+            let wi = 2.0 * normal.dot(half) * half - normal;
+            let cos = normal.dot(wi);
+            if cos <= 0.0 {
+                continue;
+            }
+            let d = cos2 * (alpha * alpha - 1.0) + 1.0;
+            let pdf = alpha * alpha / (PI * d * d) / 4.0;
+            sum += cos * self.radiance(wi, 1.0 / (f64::from(SPECULAR_DRAWS) * pdf));
+            weights += cos;
+        }
+        sum / weights
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn half_floats(image: &Image) -> Vec<f64> {
+        let data = image.data.as_deref().unwrap();
+        let halves = data
+            .chunks(2)
+            .map(|b| f16::from_le_bytes([b[0], b[1]]).to_f64());
+        halves.collect()
+    }
+
+    #[test]
+    fn faces_cover_all_directions() {
+        for (face, axis) in [
+            (0, DVec3::X),
+            (1, DVec3::NEG_X),
+            (2, DVec3::Y),
+            (3, DVec3::NEG_Y),
+            (4, DVec3::NEG_Z),
+            (5, DVec3::Z),
+        ] {
+            assert_eq!(face_direction(face, 0.0, 0.0), axis);
+        }
+        let near = face_direction(0, -0.9999, 0.3);
+        assert!(
+            near.distance(face_direction(4, 0.9999, 0.3)) < 1e-3,
+            "faces meet at their edges"
+        );
+    }
+
+    #[test]
+    fn uniform_light_stays_as_it_is() {
+        let filtered = filter_map(&EnvironmentMap::constant([0.5, 2.0, 8.0]));
+        for image in [&filtered.diffuse, &filtered.specular, &filtered.sky] {
+            for pixel in half_floats(image).chunks(4) {
+                for (value, expected) in pixel.iter().zip([0.5, 2.0, 8.0]) {
+                    assert!((value / expected - 1.0).abs() < 2e-3, "{pixel:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn irradiance_of_half_a_sky_is_its_closed_form() {
+        // Radiance 1 above the horizon: E(n) = π (1 + n.y) / 2.
+        let texels = (0..512).map(|i| [if i < 256 { 1.0 } else { 0.0 }; 3]);
+        let map = EnvironmentMap::new(32, 16, texels.collect());
+        let grid = Grid::new(&map);
+        for normal in [DVec3::Y, DVec3::X, DVec3::new(0.6, -0.8, 0.0), DVec3::NEG_Y] {
+            let found = grid.irradiance(normal).x;
+            let expected = PI * (1.0 + normal.y) / 2.0;
+            assert!(
+                (found - expected).abs() < 0.01 * PI,
+                "{normal}: {found}, not {expected}"
+            );
+        }
+    }
+
+    #[test]
+    fn reflections_widen_with_roughness() {
+        let mut texels = vec![[0.0; 3]; 64 * 32];
+        texels[64 * 16 + 32] = [1000.0; 3];
+        let pyramid = Pyramid::new(&EnvironmentMap::new(64, 32, texels));
+        let at = EnvironmentMap::direction_from_uv([32.5 / 64.0, 16.5 / 32.0]);
+        let peaks = [0.0, 0.3, 0.6, 1.0].map(|r| pyramid.reflection(at, r).x);
+        assert!((peaks[0] - 1000.0).abs() < 1.0, "a mirror");
+        assert!(
+            peaks.windows(2).all(|pair| pair[1] < 0.7 * pair[0]),
+            "{peaks:?}"
+        );
+    }
+}

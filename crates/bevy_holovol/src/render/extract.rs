@@ -1,0 +1,148 @@
+use std::any::TypeId;
+use std::sync::Arc;
+
+use bevy::camera::visibility::VisibleEntities;
+use bevy::prelude::*;
+use bevy::render::Extract;
+use bevy::render::sync_world::MainEntity;
+use glam::DMat4;
+use holovol_light::EnvironmentMap;
+use holovol_render::Medium;
+use holovol_volume::{TransferFunction, TransferPoint, Volume};
+
+use super::VolumeRenderSettings;
+use super::mesh_overlap::MeshOverlaps;
+use crate::clip_plane::planes_of;
+use crate::environment::CurrentMap;
+use crate::{
+    TransferFunctionAsset, Volume3d, VolumeAsset, VolumeClipPlane, VolumeEnvironment,
+    VolumeMaterial3d, VolumeMedium,
+};
+
+/// What the render world knows of volumes; made anew in every frame, of shared data.
+#[derive(Resource, Default)]
+pub(super) struct ExtractedScene {
+    pub(super) environment: Option<Arc<EnvironmentMap>>,
+    pub(super) volumes: Vec<ExtractedVolume>,
+    pub(super) views: Vec<ExtractedVolumeView>,
+}
+
+pub(super) struct ExtractedVolume {
+    pub(super) entity: MainEntity,
+    pub(super) volume: Arc<Volume>,
+    /// Scatterings are the views' to say.
+    pub(super) medium: Medium,
+}
+
+pub(super) struct ExtractedVolumeView {
+    pub(super) entity: MainEntity,
+    pub(super) settings: VolumeRenderSettings,
+    /// What it sees, and what meshes are inside.
+    pub(super) volumes: Vec<(MainEntity, Option<u64>)>,
+}
+
+type VolumeData<'a> = (
+    Entity,
+    &'a GlobalTransform,
+    &'a Volume3d,
+    &'a VolumeMaterial3d,
+    &'a VolumeMedium,
+);
+
+#[expect(clippy::too_many_arguments, reason = "all that a volume consists of")]
+pub(super) fn extract_volumes(
+    mut scene: ResMut<ExtractedScene>,
+    environment: Extract<Res<VolumeEnvironment>>,
+    map: Extract<Res<CurrentMap>>,
+    volumes: Extract<Query<VolumeData>>,
+    is_volume: Extract<Query<(), With<Volume3d>>>,
+    planes: Extract<Query<(Entity, &GlobalTransform, &InheritedVisibility), With<VolumeClipPlane>>>,
+    parents: Extract<Query<&ChildOf>>,
+    views: Extract<Query<(Entity, &Camera, &VolumeRenderSettings, &VisibleEntities)>>,
+    assets: Extract<Res<Assets<VolumeAsset>>>,
+    transfer_functions: Extract<Res<Assets<TransferFunctionAsset>>>,
+    overlaps: Extract<Res<MeshOverlaps>>,
+) {
+    scene.environment.clone_from(&map.0);
+    scene.volumes.clear();
+    for (entity, transform, volume, material, medium) in &volumes {
+        let (Some(asset), Some(transfer_function)) =
+            (assets.get(&volume.0), transfer_functions.get(&material.0))
+        else {
+            continue;
+        };
+        let clip_planes = planes_of(entity, &planes, &parents, &is_volume);
+        scene.volumes.push(ExtractedVolume {
+            entity: entity.into(),
+            volume: Arc::clone(asset.volume()),
+            medium: Medium {
+                clip_planes,
+                ..medium_of(asset, transform, transfer_function, medium, &environment)
+            },
+        });
+    }
+    scene.views.clear();
+    for (entity, camera, settings, visible) in &views {
+        if !camera.is_active {
+            continue;
+        }
+        let seen = visible.get(TypeId::of::<Volume3d>()).iter();
+        scene.views.push(ExtractedVolumeView {
+            entity: entity.into(),
+            settings: settings.clone(),
+            volumes: seen
+                .map(|&volume| (volume.into(), overlaps.get(entity, volume)))
+                .collect(),
+        });
+    }
+}
+
+pub(crate) fn medium_of(
+    asset: &VolumeAsset,
+    transform: &GlobalTransform,
+    transfer_function: &TransferFunctionAsset,
+    medium: &VolumeMedium,
+    environment: &VolumeEnvironment,
+) -> Medium {
+    let volume = asset.volume();
+    let file = transfer_function.file();
+    let world_from_local = DMat4::from(transform.affine().as_daffine3());
+    let world_from_unit_cube = world_from_local * asset.local_from_unit_cube();
+    let edge = |axis| world_from_unit_cube.col(axis).truncate().length();
+    let longest_edge = edge(0).max(edge(1)).max(edge(2));
+    let window = medium
+        .window
+        .map(|(low, high)| [low, high])
+        .or(file.window)
+        .or(volume.header_window())
+        .unwrap_or(volume.range());
+    let function = file.for_volume_size(longest_edge);
+    Medium {
+        window,
+        world_from_unit_cube,
+        transfer_function: scaled(&function, medium.density, medium.emission_intensity),
+        phase_g: medium.phase_g,
+        gradient_factor: medium.gradient_factor,
+        max_scatters: Some(1),
+        clip_planes: Vec::new(),
+        environment_rotation_y: f64::from(environment.rotation_y),
+        environment_scale: f64::from(environment.intensity).max(0.0),
+    }
+}
+
+/// Extinctions and emissions times these; as it is if they are not finite and ≥ 0.
+fn scaled(function: &TransferFunction, density: f64, emission: f64) -> TransferFunction {
+    let has_emission = function
+        .points()
+        .iter()
+        .any(|point| point.emission != [0.0; 3]);
+    if density == 1.0 && !has_emission {
+        return function.clone();
+    }
+    let points = function.points().iter().map(|point| TransferPoint {
+        sigma_t: point.sigma_t * density,
+        emission: point.emission.map(|e| e * emission),
+        ..*point
+    });
+    TransferFunction::new(points.collect()).unwrap_or_else(|_| function.clone())
+}

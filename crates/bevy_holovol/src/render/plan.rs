@@ -1,0 +1,142 @@
+//! What a frame wants of the tracers, decided from poses as late as they come.
+
+use bevy::core_pipeline::prepass::ViewPrepassTextures;
+use bevy::prelude::*;
+use bevy::render::camera::ExtractedCamera;
+use bevy::render::sync_world::MainEntity;
+use bevy::render::view::ExtractedView;
+use glam::DMat4;
+use holovol_render::{DepthLayers, View, ViewFrame};
+
+use super::extract::ExtractedScene;
+use super::node::{DepthTarget, DepthTargetShape};
+use super::prepare::{TracerKey, VolumeGpu, viewport_size};
+use super::{VolumeRenderMode, VolumeStatistics};
+
+/// What one view wants of one volume.
+pub(super) struct PlannedView {
+    pub(super) key: TracerKey,
+    pub(super) camera: MainEntity,
+    pub(super) frame: ViewFrame,
+}
+
+/// A view whose meshes' depth is to be drawn.
+pub(super) struct PlannedDepth {
+    pub(super) view: Entity,
+    pub(super) layers: DepthLayers,
+    pub(super) target: DepthTarget,
+}
+
+type PlannedCamera<'a> = (
+    Entity,
+    &'a MainEntity,
+    &'a ExtractedView,
+    &'a Msaa,
+    Option<&'a ViewPrepassTextures>,
+);
+
+/// Decides what each view wants, and which need depth.
+pub(super) fn plan_frame(
+    mut gpu: ResMut<VolumeGpu>,
+    scene: Res<ExtractedScene>,
+    cameras: Query<PlannedCamera, With<ExtractedCamera>>,
+    statistics: Res<VolumeStatistics>,
+) {
+    let Some(inner) = &mut gpu.0 else {
+        return;
+    };
+    inner.plan.clear();
+    inner.depth_plan.clear();
+    let mut layers_used = 0;
+    for wanted in &scene.views {
+        let Some((entity, camera, view, msaa, prepass)) =
+            cameras.iter().find(|camera| *camera.1 == wanted.entity)
+        else {
+            continue;
+        };
+        let viewport = viewport_size(view);
+        let settings = &wanted.settings;
+        let size = settings.image_size(viewport);
+        let (_, rotation, translation) = view.world_from_view.to_scale_rotation_translation();
+        let world_from_view =
+            DMat4::from_rotation_translation(rotation.as_dquat(), translation.as_dvec3());
+        let clip_from_view = view.clip_from_view.as_dmat4();
+        let pose = View::from_projection(world_from_view, clip_from_view, size);
+        let has_depth = prepass.is_some_and(|p| p.depth.is_some() && p.deferred.is_none());
+        let overlaps = wanted.volumes.iter().any(|(_, overlap)| overlap.is_some());
+        let layers = (has_depth && overlaps).then(|| {
+            let first = layers_used;
+            layers_used += msaa.samples();
+            DepthLayers {
+                first,
+                count: msaa.samples(),
+                size: viewport,
+            }
+        });
+        let mut wants_depth = false;
+        for &(volume, overlap) in &wanted.volumes {
+            let key = (volume, settings.max_scatters);
+            let Some(tracing) = inner.tracings.get_mut(&key) else {
+                continue;
+            };
+            let Some(slot) = tracing.slot_of(*camera) else {
+                continue;
+            };
+            let meshes_changed = std::mem::replace(&mut tracing.overlaps[slot], overlap) != overlap;
+            let is_fresh = settings.mode == VolumeRenderMode::Fresh;
+            let frame = ViewFrame {
+                slot,
+                view: pose,
+                samples: settings.samples,
+                max_samples: settings.max_samples,
+                restart: settings.reset || meshes_changed || is_fresh,
+                mesh_depth: layers.filter(|_| overlap.is_some()),
+            };
+            let wants = tracing.tracer().is_some_and(|tracer| tracer.wants(&frame));
+            wants_depth |= wants && frame.mesh_depth.is_some();
+            inner.plan.push(PlannedView {
+                key,
+                camera: *camera,
+                frame,
+            });
+        }
+        if let (true, Some(layers), Some(prepass)) = (wants_depth, layers, prepass) {
+            let shape = DepthTargetShape {
+                size: viewport,
+                samples: msaa.samples(),
+                normals: prepass.normal.is_some(),
+                motion_vectors: prepass.motion_vectors.is_some(),
+            };
+            match inner.depth_target(shape) {
+                Ok(target) => inner.depth_plan.push(PlannedDepth {
+                    view: entity,
+                    layers,
+                    target,
+                }),
+                Err(error) => error_once!("{error}"),
+            }
+        }
+    }
+    let plan = &inner.depth_plan;
+    inner
+        .depth_targets
+        .retain(|target| plan.iter().any(|p| p.target.shape() == target.shape()));
+    if let Some(largest) = inner
+        .depth_plan
+        .iter()
+        .map(|d| d.layers.size)
+        .reduce(|a, b| [a[0].max(b[0]), a[1].max(b[1])])
+        && let Err(error) = inner.mesh_depth.reserve(largest, layers_used)
+    {
+        error_once!("{error}");
+        inner.depth_plan.clear();
+        for planned in &mut inner.plan {
+            planned.frame.mesh_depth = None;
+        }
+    }
+    let depth_passes = inner.depth_plan.len() as u64;
+    statistics.update(|statistics| {
+        statistics.frames += 1;
+        statistics.depth_passes += depth_passes;
+    });
+}

@@ -1,0 +1,396 @@
+//! Frames: what is done, and what is not.
+
+use bevy::camera::RenderTarget;
+use bevy::camera::visibility::RenderLayers;
+use bevy::prelude::*;
+use bevy::render::error_handler::{RenderErrorHandler, RenderErrorPolicy};
+use bevy::render::render_resource::PollType;
+use bevy::render::renderer::RenderDevice;
+use bevy_holovol::prelude::*;
+
+use crate::app::*;
+
+pub const TESTS: &[crate::Test] = &[
+    (
+        "a_finished_view_costs_nothing",
+        a_finished_view_costs_nothing,
+    ),
+    (
+        "changes_begin_anew_and_upload_only_themselves",
+        changes_begin_anew,
+    ),
+    ("volumes_come_and_go", volumes_come_and_go),
+    (
+        "the_nearer_volume_covers_the_farther",
+        the_nearer_volume_covers_the_farther,
+    ),
+    ("targets_change_size", targets_change_size),
+    (
+        "resolution_scale_keeps_the_brightness",
+        resolution_scale_keeps_the_brightness,
+    ),
+    (
+        "views_of_different_scatterings_stand_side_by_side",
+        different_scatterings,
+    ),
+    ("clip_planes_open_a_volume", clip_planes_open_a_volume),
+    ("fresh_frames_never_end", fresh_frames_never_end),
+    (
+        "a_lost_device_is_recovered_from",
+        a_lost_device_is_recovered_from,
+    ),
+    ("a_finished_view_takes_half_a_millisecond_at_most", overhead),
+];
+
+fn a_finished_view_costs_nothing() {
+    let mut app = app();
+    spawn_volume(&mut app, solid(Vec3::ONE), matter(3.0, 0.8));
+    let target = target(&mut app, 24, 24);
+    spawn_camera(&mut app, &target, 4.0, settings(64));
+    finish(&mut app);
+    let before = statistics(&app);
+    assert_eq!(before.samples_per_pixel, 64);
+    assert_eq!(before.samples, 64 * 24 * 24);
+    for _ in 0..10 {
+        app.update();
+    }
+    let after = statistics(&app);
+    assert_eq!(after.dispatches, before.dispatches);
+    assert_eq!(
+        (after.samples, after.uploads),
+        (before.samples, before.uploads)
+    );
+    assert!(after.frames >= before.frames + 10);
+}
+
+fn changes_begin_anew() {
+    let mut app = app();
+    let volume = spawn_volume(&mut app, solid(Vec3::ONE), matter(1.0, 0.0));
+    let target = target(&mut app, 24, 24);
+    let camera = spawn_camera(&mut app, &target, 4.0, settings(64));
+    app.insert_resource(ClearColor(Color::WHITE));
+    finish(&mut app);
+    let dense = |app: &mut App| read(app, &target).mean([10, 10, 14, 14]).x;
+    assert_near("1 m of 1/m", dense(&mut app), (-1f32).exp(), 0.01);
+    let uploads = statistics(&app).uploads;
+
+    let material = app
+        .world()
+        .get::<VolumeMaterial3d>(volume)
+        .expect("matter")
+        .0
+        .clone();
+    let mut assets = app
+        .world_mut()
+        .resource_mut::<Assets<TransferFunctionAsset>>();
+    assets
+        .insert(&material, matter(2.0, 0.0))
+        .expect("a handle in use");
+    finish(&mut app);
+    assert_near("1 m of 2/m", dense(&mut app), (-2f32).exp(), 0.01);
+
+    app.world_mut()
+        .get_mut::<VolumeMedium>(volume)
+        .expect("a medium")
+        .density = 0.25;
+    finish(&mut app);
+    assert_near("1 m of 0.5/m", dense(&mut app), (-0.5f32).exp(), 0.01);
+
+    app.world_mut()
+        .get_mut::<Transform>(volume)
+        .expect("a place")
+        .scale
+        .z = 2.0;
+    finish(&mut app);
+    assert_near("2 m of 0.5/m", dense(&mut app), (-1f32).exp(), 0.01);
+    assert_eq!(
+        statistics(&app).uploads,
+        uploads,
+        "neither voxels nor light were new"
+    );
+
+    let samples = statistics(&app).samples;
+    app.world_mut()
+        .get_mut::<VolumeRenderSettings>(camera)
+        .expect("settings")
+        .reset = true;
+    finish(&mut app);
+    assert_eq!(statistics(&app).samples, samples + 64 * 24 * 24, "once");
+    let settings = app
+        .world()
+        .get::<VolumeRenderSettings>(camera)
+        .expect("settings");
+    assert!(!settings.reset, "a reset clears itself");
+
+    app.insert_resource(VolumeEnvironment::from_radiance(LinearRgba::rgb(
+        1.0, 0.0, 0.0,
+    )));
+    finish(&mut app);
+    assert_eq!(statistics(&app).uploads, uploads + 1, "other light");
+}
+
+fn volumes_come_and_go() {
+    let mut app = app();
+    app.insert_resource(ClearColor(Color::WHITE));
+    let target = target(&mut app, 24, 24);
+    let camera = spawn_camera(&mut app, &target, 4.0, settings(16));
+    let centre = |app: &mut App| read(app, &target).mean([11, 11, 13, 13]).x;
+    assert_near("no volume", centre(&mut app), 1.0, 1e-3);
+    for _ in 0..2 {
+        let volume = spawn_volume(&mut app, solid(Vec3::ONE), matter(100.0, 0.0));
+        finish(&mut app);
+        assert_near("a volume", centre(&mut app), 0.0, 1e-3);
+        app.world_mut()
+            .entity_mut(volume)
+            .insert(Visibility::Hidden);
+        assert_near("hidden", centre(&mut app), 1.0, 1e-3);
+        app.world_mut()
+            .entity_mut(volume)
+            .insert(Visibility::Visible);
+        finish(&mut app);
+        assert_near("shown", centre(&mut app), 0.0, 1e-3);
+        app.world_mut()
+            .entity_mut(volume)
+            .insert(RenderLayers::layer(3));
+        assert_near("in another layer", centre(&mut app), 1.0, 1e-3);
+        app.world_mut()
+            .entity_mut(camera)
+            .insert(RenderLayers::from_layers(&[0, 3]));
+        finish(&mut app);
+        assert_near("in a layer that is seen", centre(&mut app), 0.0, 1e-3);
+        app.world_mut().entity_mut(camera).remove::<RenderLayers>();
+        app.world_mut().despawn(volume);
+        assert_near("gone", centre(&mut app), 1.0, 1e-3);
+    }
+    app.world_mut().despawn(camera);
+    for _ in 0..3 {
+        app.update();
+    }
+}
+
+/// A thin grey veil before a black block, and the block before the veil.
+fn the_nearer_volume_covers_the_farther() {
+    let mut app = app();
+    app.insert_resource(ClearColor(Color::WHITE));
+    let block = spawn_volume(
+        &mut app,
+        solid(Vec3::new(1.0, 1.0, 0.2)),
+        matter(500.0, 0.0),
+    );
+    let veil = spawn_volume(
+        &mut app,
+        solid(Vec3::new(1.0, 1.0, 0.2)),
+        matter(500.0, 0.5),
+    );
+    let place = |app: &mut App, entity, z| {
+        *app.world_mut()
+            .get_mut::<Transform>(entity)
+            .expect("a place") = Transform::from_xyz(0.0, 0.0, z);
+    };
+    let target = target(&mut app, 24, 24);
+    spawn_camera(&mut app, &target, 4.0, settings(32));
+    place(&mut app, veil, 0.5);
+    place(&mut app, block, -0.5);
+    finish(&mut app);
+    let lit = read(&mut app, &target).mean([10, 10, 14, 14]).x;
+    assert!(lit > 0.05, "the lit volume is in front: {lit}");
+    place(&mut app, veil, -0.5);
+    place(&mut app, block, 0.5);
+    finish(&mut app);
+    let dark = read(&mut app, &target).mean([10, 10, 14, 14]).x;
+    assert_near("the black volume is in front", dark, 0.0, 1e-3);
+}
+
+fn targets_change_size() {
+    let mut app = app();
+    app.insert_resource(ClearColor(Color::WHITE));
+    spawn_volume(&mut app, solid(Vec3::ONE), matter(100.0, 0.0));
+    let first = target(&mut app, 24, 24);
+    let camera = spawn_camera(&mut app, &first, 4.0, settings(16));
+    finish(&mut app);
+    for (width, height) in [(40, 30), (7, 5), (1, 3), (64, 8)] {
+        let next = target(&mut app, width, height);
+        app.world_mut()
+            .entity_mut(camera)
+            .insert(RenderTarget::Image(next.clone().into()));
+        finish(&mut app);
+        let picture = read(&mut app, &next);
+        let [x, y] = [width as usize / 2, height as usize / 2];
+        assert_near("the middle", picture.mean([x, y, x + 1, y + 1]).x, 0.0, 0.1);
+    }
+}
+
+fn resolution_scale_keeps_the_brightness() {
+    let mut app = app();
+    spawn_volume(&mut app, solid(Vec3::new(3.0, 3.0, 1.0)), matter(1.0, 0.8));
+    let target = target(&mut app, 40, 30);
+    let camera = spawn_camera(&mut app, &target, 4.0, settings(256));
+    finish(&mut app);
+    let full = read(&mut app, &target).middle().x;
+    for scale in [0.25, 0.6, 1.5] {
+        let mut settings = app
+            .world_mut()
+            .get_mut::<VolumeRenderSettings>(camera)
+            .expect("settings");
+        settings.resolution_scale = scale;
+        finish(&mut app);
+        let found = read(&mut app, &target).middle().x;
+        assert_near(&format!("scale {scale}"), found / full, 1.0, 0.02);
+    }
+}
+
+/// With no scattering at all a volume is black; beside it stands one that scatters.
+fn different_scatterings() {
+    let mut app = app();
+    spawn_volume(&mut app, solid(Vec3::ONE), matter(20.0, 1.0));
+    let targets = [Some(0), Some(1), None].map(|max_scatters| {
+        let target = target(&mut app, 24, 24);
+        let settings = VolumeRenderSettings {
+            max_scatters,
+            ..settings(64)
+        };
+        spawn_camera(&mut app, &target, 4.0, settings);
+        target
+    });
+    finish(&mut app);
+    let [none, one, all] = targets.map(|target| read(&mut app, &target).mean([10, 10, 14, 14]).x);
+    assert_near("no scattering", none, 0.0, 1e-6);
+    assert!(one > 0.1 && all > 1.5 * one, "one {one}, unlimited {all}");
+}
+
+fn clip_planes_open_a_volume() {
+    let mut app = app();
+    app.insert_resource(ClearColor(Color::WHITE));
+    let volume = spawn_volume(&mut app, solid(Vec3::ONE), matter(1.0, 0.0));
+    let other = spawn_volume(&mut app, solid(Vec3::ONE), matter(1.0, 0.0));
+    app.world_mut()
+        .get_mut::<Transform>(other)
+        .expect("a place")
+        .translation
+        .x = 50.0;
+    // The plane's +y, turned to +z, points to the camera: what is nearer goes.
+    let turned = Quat::from_rotation_x(std::f32::consts::FRAC_PI_2);
+    let lid = Transform::from_xyz(0.0, 0.0, 0.2).with_rotation(turned);
+    let plane = app.world_mut().spawn((VolumeClipPlane, lid)).id();
+    let target = target(&mut app, 24, 24);
+    spawn_camera(&mut app, &target, 4.0, settings(64));
+    let centre = |app: &mut App| {
+        finish(app);
+        read(app, &target).mean([10, 10, 14, 14]).x
+    };
+    assert_near("0.7 m are left", centre(&mut app), (-0.7f32).exp(), 0.01);
+    app.world_mut().entity_mut(plane).insert(ChildOf(volume));
+    assert_near("as its child", centre(&mut app), (-0.7f32).exp(), 0.01);
+    app.world_mut().entity_mut(plane).insert(ChildOf(other));
+    assert_near("another volume's", centre(&mut app), (-1f32).exp(), 0.01);
+    app.world_mut()
+        .entity_mut(plane)
+        .insert((ChildOf(volume), Visibility::Hidden));
+    assert_near("hidden", centre(&mut app), (-1f32).exp(), 0.01);
+}
+
+fn fresh_frames_never_end() {
+    let mut app = app();
+    spawn_volume(&mut app, solid(Vec3::ONE), matter(3.0, 0.8));
+    let target = target(&mut app, 24, 24);
+    let fresh = VolumeRenderSettings {
+        mode: VolumeRenderMode::Fresh,
+        samples: 2,
+        ..default()
+    };
+    spawn_camera(&mut app, &target, 4.0, fresh);
+    while statistics(&app).samples == 0 {
+        app.update();
+    }
+    let pictures = [0, 1].map(|_| {
+        app.update();
+        assert_eq!(statistics(&app).samples_per_pixel, 2);
+        read(&mut app, &target)
+    });
+    assert_ne!(
+        pictures[0].pixels, pictures[1].pixels,
+        "other noise in every frame"
+    );
+}
+
+/// Bevy opens another device, if the app tells it to; volumes are there again.
+fn a_lost_device_is_recovered_from() {
+    let mut app = app();
+    app.insert_resource(ClearColor(Color::WHITE));
+    app.insert_resource(RenderErrorHandler(|_, _, _| {
+        RenderErrorPolicy::Recover(default())
+    }));
+    spawn_volume(&mut app, solid(Vec3::ONE), matter(2.0, 0.0));
+    let target = target(&mut app, 24, 24);
+    spawn_camera(&mut app, &target, 4.0, settings(64));
+    finish(&mut app);
+    let uploads = statistics(&app).uploads;
+    let device = app.world().resource::<RenderDevice>().clone();
+    device.wgpu_device().destroy();
+    // Bevy hears of it before the next frame; in the middle of one it may panic itself.
+    device.poll(PollType::wait_indefinitely()).expect("polled");
+    let mut updates = 0;
+    while statistics(&app).uploads == uploads {
+        app.update();
+        std::thread::sleep(std::time::Duration::from_millis(5));
+        updates += 1;
+        assert!(updates < 5000, "nothing is uploaded again");
+    }
+    finish(&mut app);
+    let seen = read(&mut app, &target).mean([10, 10, 14, 14]).x;
+    assert_near("on another device", seen, (-2f32).exp(), 0.01);
+}
+
+/// CPU time of Bevy's own threads so far, seconds: the main one's and its pools'. Those on which
+/// software Vulkan draws are left out. `None` where the system doesn't tell.
+fn bevy_seconds() -> Option<f64> {
+    let main = std::fs::read_to_string("/proc/self/comm").ok()?;
+    let mut sum = 0.0;
+    for task in std::fs::read_dir("/proc/self/task").ok()?.flatten() {
+        let name = std::fs::read_to_string(task.path().join("comm")).unwrap_or_default();
+        if name == main || name.contains("Task Po") {
+            let times = std::fs::read_to_string(task.path().join("schedstat")).ok()?;
+            sum += times.split(' ').next()?.parse::<f64>().ok()? * 1e-9;
+        }
+    }
+    Some(sum)
+}
+
+/// What a volume adds to frames in which nothing is traced: systems, extraction, and recording of
+/// the pass that lays its image over the view.
+fn overhead() {
+    const FRAMES: u32 = 300;
+    let empty_trace = |app: &mut App| {
+        for _ in 0..50 {
+            app.update();
+        }
+        let start = bevy_seconds()?;
+        for _ in 0..FRAMES {
+            app.update();
+        }
+        Some((bevy_seconds()? - start) / f64::from(FRAMES))
+    };
+    let mut with = app();
+    spawn_volume(&mut with, solid(Vec3::ONE), matter(3.0, 0.8));
+    let target_with = target(&mut with, 64, 64);
+    spawn_camera(&mut with, &target_with, 4.0, settings(16));
+    finish(&mut with);
+    // Settings bring HDR and a prepass along: both have them, ours alone differs.
+    let mut without = app_with(());
+    let target_without = target(&mut without, 64, 64);
+    spawn_camera(&mut without, &target_without, 4.0, settings(16));
+    let mut least = f64::INFINITY;
+    for _ in 0..3 {
+        let (Some(a), Some(b)) = (empty_trace(&mut with), empty_trace(&mut without)) else {
+            eprintln!("skipped: this system doesn't tell the CPU time of threads");
+            return;
+        };
+        eprintln!(
+            "with a volume {:.3} ms, without {:.3} ms of CPU time a frame",
+            1e3 * a,
+            1e3 * b
+        );
+        least = least.min(a - b);
+    }
+    assert!(least < 0.5e-3, "{:.3} ms", 1e3 * least);
+}

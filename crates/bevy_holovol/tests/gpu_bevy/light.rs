@@ -1,0 +1,229 @@
+//! Radiance, exposure, and the light that meshes stand in.
+
+use std::f32::consts::PI;
+
+use bevy::camera::Exposure;
+use bevy::core_pipeline::tonemapping::Tonemapping;
+use bevy::prelude::*;
+use bevy_holovol::prelude::*;
+use holovol_light::EnvironmentMap;
+
+use crate::app::*;
+
+pub const TESTS: &[crate::Test] = &[
+    (
+        "white_medium_vanishes_in_a_uniform_sky",
+        white_medium_vanishes_in_a_uniform_sky,
+    ),
+    (
+        "radiance_meets_the_cameras_exposure",
+        radiance_meets_the_cameras_exposure,
+    ),
+    ("sky_is_the_environment", sky_is_the_environment),
+    (
+        "diffuse_mesh_has_the_analytic_irradiance",
+        diffuse_mesh_has_the_analytic_irradiance,
+    ),
+    (
+        "everything_is_tone_mapped_once",
+        everything_is_tone_mapped_once,
+    ),
+];
+
+/// Albedo 1 in uniform light: radiance comes out as it goes in, so that the sky behind shows on.
+fn white_medium_vanishes_in_a_uniform_sky() {
+    let mut app = app();
+    app.insert_resource(VolumeEnvironment {
+        intensity: unit_intensity(),
+        lights_meshes: false,
+        ..VolumeEnvironment::from_radiance(LinearRgba::rgb(0.5, 1.0, 2.0))
+    });
+    spawn_volume(&mut app, solid(Vec3::ONE), matter(3.0, 1.0));
+    let target = target(&mut app, 32, 32);
+    let unlimited = VolumeRenderSettings {
+        max_scatters: None,
+        ..settings(256)
+    };
+    spawn_camera(&mut app, &target, 4.0, unlimited);
+    finish(&mut app);
+    let picture = read(&mut app, &target);
+    let mean = picture.middle();
+    for (found, expected) in mean.xyz().to_array().into_iter().zip([0.5, 1.0, 2.0]) {
+        assert_near("the sky through the medium", found / expected, 1.0, 0.02);
+    }
+    let edge = picture.mean([0, 0, 32, 1]);
+    assert_near("the sky beside it", edge.y, 1.0, 2e-3);
+}
+
+/// One scattering at a thin layer: radiance = opacity × albedo × light, then × exposure.
+fn radiance_meets_the_cameras_exposure() {
+    let mut app = app();
+    spawn_volume(
+        &mut app,
+        solid(Vec3::new(1.0, 1.0, 1e-3)),
+        matter(20.0, 0.5),
+    );
+    let target = target(&mut app, 32, 32);
+    let camera = spawn_camera(&mut app, &target, 2.0, settings(256));
+    finish(&mut app);
+    let single = read(&mut app, &target).middle();
+    let opacity = 1.0 - (-0.02f32).exp();
+    // Light has to cross the layer too: up to its mean over directions, about 5 %.
+    assert_near("radiance", single.x / (0.5 * opacity), 1.0, 0.08);
+    assert_near("grey", single.x, single.z, 1e-6);
+    let ev100 = Exposure::default().ev100 - 3.0;
+    app.world_mut()
+        .entity_mut(camera)
+        .insert(Exposure { ev100 });
+    let brighter = read(&mut app, &target).middle();
+    assert_near("three stops more", brighter.x / single.x, 8.0, 0.02);
+}
+
+/// A map whose six sides differ; camera turned to each: the sky must show what the map says.
+fn sky_is_the_environment() {
+    let mut app = app();
+    let size = [64, 32];
+    let texel = |i: usize| {
+        let uv = [
+            (0.5 + (i % size[0]) as f64) / size[0] as f64,
+            (0.5 + (i / size[0]) as f64) / size[1] as f64,
+        ];
+        let d = EnvironmentMap::direction_from_uv(uv);
+        [d.x, d.y, d.z].map(|c| (0.5 + 0.4 * c) as f32)
+    };
+    let map = EnvironmentMap::new(
+        size[0],
+        size[1],
+        (0..size[0] * size[1]).map(texel).collect(),
+    );
+    let handle = app
+        .world_mut()
+        .resource_mut::<Assets<EnvironmentAsset>>()
+        .add(EnvironmentAsset::new(map.clone()));
+    let rotation_y = 0.6f32;
+    app.insert_resource(VolumeEnvironment {
+        intensity: unit_intensity(),
+        rotation_y,
+        ..VolumeEnvironment::from_map(handle)
+    });
+    let target = target(&mut app, 16, 16);
+    let camera = spawn_camera(&mut app, &target, 2.0, settings(1));
+    for direction in [
+        Vec3::X,
+        Vec3::NEG_X,
+        Vec3::Y,
+        Vec3::NEG_Y,
+        Vec3::Z,
+        Vec3::NEG_Z,
+    ] {
+        let up = direction.any_orthonormal_vector();
+        let looking = Transform::from_translation(Vec3::ZERO).looking_to(direction, up);
+        *app.world_mut()
+            .get_mut::<Transform>(camera)
+            .expect("a transform") = looking;
+        wait_for_sky(&mut app, camera);
+        let found = read(&mut app, &target).mean([7, 7, 9, 9]).xyz();
+        let world = Quat::from_rotation_y(-rotation_y) * direction;
+        let expected = (0.5 + 0.4 * world).to_array();
+        for (found, expected) in found.to_array().into_iter().zip(expected) {
+            assert_near(&format!("sky to {direction}"), found, expected, 0.02);
+        }
+    }
+}
+
+/// Until the camera has been given its sky, and its textures are uploaded.
+#[track_caller]
+pub fn wait_for_sky(app: &mut App, camera: Entity) {
+    for _ in 0..10_000 {
+        app.update();
+        if app.world().get::<bevy::light::Skybox>(camera).is_some() {
+            for _ in 0..3 {
+                app.update();
+            }
+            return;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    panic!("no sky");
+}
+
+/// A white diffuse plane under half a sky, turned: radiance E/π = (1 + n·y)/2, rotated with the map.
+fn diffuse_mesh_has_the_analytic_irradiance() {
+    let mut app = app();
+    // Radiance 1 from +z, the half of u in (½ ± ¼) turned away: −z is the centre of the map.
+    let texel = |i: usize| {
+        if (16..48).contains(&(i % 64)) {
+            [0.0; 3]
+        } else {
+            [1.0; 3]
+        }
+    };
+    let map = EnvironmentMap::new(64, 32, (0..64 * 32).map(texel).collect());
+    let handle = app
+        .world_mut()
+        .resource_mut::<Assets<EnvironmentAsset>>()
+        .add(EnvironmentAsset::new(map));
+    let mesh = app
+        .world_mut()
+        .resource_mut::<Assets<Mesh>>()
+        .add(Rectangle::new(9.0, 9.0));
+    let material = StandardMaterial {
+        base_color: Color::WHITE,
+        reflectance: 0.0,
+        perceptual_roughness: 1.0,
+        ..default()
+    };
+    let material = app
+        .world_mut()
+        .resource_mut::<Assets<StandardMaterial>>()
+        .add(material);
+    app.world_mut()
+        .spawn((Mesh3d(mesh), MeshMaterial3d(material)));
+    app.insert_resource(GlobalAmbientLight::NONE);
+    let target = target(&mut app, 16, 16);
+    let camera = spawn_camera(&mut app, &target, 4.0, settings(1));
+    for rotation_y in [0.0, 1.0, 2.0, PI] {
+        app.insert_resource(VolumeEnvironment {
+            intensity: unit_intensity(),
+            rotation_y,
+            ..VolumeEnvironment::from_map(handle.clone())
+        });
+        wait_for_sky(&mut app, camera);
+        let found = read(&mut app, &target).middle();
+        let expected = (1.0 + rotation_y.cos()) / 2.0;
+        assert_near(&format!("turned by {rotation_y}"), found.y, expected, 0.03);
+    }
+}
+
+/// A mesh and a volume of the same scene-referred radiance show as the same colour.
+fn everything_is_tone_mapped_once() {
+    let mut app = app();
+    app.insert_resource(VolumeEnvironment {
+        intensity: unit_intensity(),
+        lights_meshes: false,
+        ..VolumeEnvironment::from_radiance(LinearRgba::rgb(0.7, 0.4, 0.1))
+    });
+    // A dense white medium in uniform light looks like the sky behind it.
+    spawn_volume(&mut app, solid(Vec3::splat(0.3)), matter(200.0, 1.0));
+    let target = target(&mut app, 32, 32);
+    let unlimited = VolumeRenderSettings {
+        max_scatters: None,
+        ..settings(64)
+    };
+    let camera = spawn_camera(&mut app, &target, 4.0, unlimited);
+    finish(&mut app);
+    let plain = read(&mut app, &target);
+    app.world_mut()
+        .entity_mut(camera)
+        .insert(Tonemapping::TonyMcMapface);
+    let mapped = read(&mut app, &target);
+    let (inside, beside) = (mapped.mean([14, 14, 18, 18]), mapped.mean([0, 0, 32, 2]));
+    assert!(
+        (plain.mean([0, 0, 32, 2]) - beside).xyz().length() > 0.03,
+        "tone mapping changes the sky"
+    );
+    assert!(
+        (inside - beside).xyz().abs().max_element() < 0.02,
+        "{inside} in front of {beside}"
+    );
+}

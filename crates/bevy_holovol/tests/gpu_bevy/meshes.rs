@@ -1,0 +1,186 @@
+//! Meshes in, before and behind volumes.
+
+use bevy::camera::Viewport;
+use bevy::prelude::*;
+use bevy_holovol::prelude::*;
+
+use crate::app::*;
+
+pub const TESTS: &[crate::Test] = &[
+    (
+        "a_box_hides_what_is_behind_it",
+        a_box_hides_what_is_behind_it,
+    ),
+    (
+        "meshes_apart_from_volumes_cost_no_depth",
+        meshes_apart_from_volumes_cost_no_depth,
+    ),
+    (
+        "edges_of_meshes_are_smooth_with_msaa",
+        edges_of_meshes_are_smooth_with_msaa,
+    ),
+];
+
+/// Black absorbing slab, 1 m deep, in front of white: what is seen of the box or the background is
+/// the transmittance of what is before it.
+const SIGMA: f64 = 1.5;
+
+fn spawn_box(app: &mut App, size: Vec3, at: Vec3) -> Entity {
+    let mesh = app
+        .world_mut()
+        .resource_mut::<Assets<Mesh>>()
+        .add(Cuboid::from_size(size));
+    let material = StandardMaterial {
+        base_color: Color::WHITE,
+        unlit: true,
+        ..default()
+    };
+    let material = app
+        .world_mut()
+        .resource_mut::<Assets<StandardMaterial>>()
+        .add(material);
+    let place = Transform::from_translation(at);
+    app.world_mut()
+        .spawn((Mesh3d(mesh), MeshMaterial3d(material), place))
+        .id()
+}
+
+/// As a box moves through the slab, its brightness is e^(−σd) of what is before it, in two
+/// viewports of one target and in a target of its own, multisampled or not.
+fn a_box_hides_what_is_behind_it() {
+    for msaa in [Msaa::Off, Msaa::Sample4] {
+        let mut app = app();
+        app.insert_resource(VolumeEnvironment {
+            lights_meshes: false,
+            is_sky: false,
+            ..VolumeEnvironment::from_radiance(LinearRgba::BLACK)
+        });
+        spawn_volume(
+            &mut app,
+            solid(Vec3::new(3.0, 3.0, 1.0)),
+            matter(SIGMA, 0.0),
+        );
+        let cube = spawn_box(&mut app, Vec3::new(3.0, 3.0, 0.2), Vec3::ZERO);
+        let both = target(&mut app, 48, 24);
+        let alone = target(&mut app, 20, 20);
+        let cameras = [(&both, 3.0), (&both, 5.0), (&alone, 4.0)].map(|(target, distance)| {
+            let camera = spawn_camera(&mut app, target, distance, settings(64));
+            app.world_mut().entity_mut(camera).insert(msaa);
+            camera
+        });
+        for (i, camera) in [0, 1].into_iter().zip(cameras) {
+            let mut camera = app.world_mut().get_mut::<Camera>(camera).expect("a camera");
+            camera.order = i as isize;
+            camera.viewport = Some(Viewport {
+                physical_position: UVec2::new(24 * i as u32, 0),
+                physical_size: UVec2::splat(24),
+                ..default()
+            });
+            if i == 1 {
+                camera.clear_color = ClearColorConfig::None;
+            }
+        }
+        // The box's front lies 0.1 m before its centre, the slab's at z = 0.5.
+        for centre in [0.45f32, 0.2, -0.3, -0.7, 0.8] {
+            let mut transform = app.world_mut().get_mut::<Transform>(cube).expect("a box");
+            transform.translation.z = centre;
+            finish(&mut app);
+            let depth = f64::from(0.5 - (centre + 0.1)).clamp(0.0, 1.0);
+            let expected = (-SIGMA * depth).exp() as f32;
+            let views = read(&mut app, &both);
+            let found = [
+                views.mean([6, 6, 18, 18]).x,
+                views.mean([30, 6, 42, 18]).x,
+                read(&mut app, &alone).middle().x,
+            ];
+            for (view, found) in found.into_iter().enumerate() {
+                let what = format!("{msaa:?}, view {view}, box at {centre} m");
+                // Rays of the outermost pixels are longer by 1 %.
+                assert_near(&what, found, expected, 0.012);
+            }
+        }
+    }
+}
+
+/// Depth is drawn only while a mesh is inside, and its hiding doesn't need it before the volume.
+fn meshes_apart_from_volumes_cost_no_depth() {
+    let mut app = app();
+    app.insert_resource(VolumeEnvironment {
+        is_sky: false,
+        ..VolumeEnvironment::from_radiance(LinearRgba::BLACK)
+    });
+    spawn_volume(&mut app, solid(Vec3::ONE), matter(50.0, 0.0));
+    let cube = spawn_box(&mut app, Vec3::splat(0.2), Vec3::new(0.0, 0.0, 1.0));
+    let target = target(&mut app, 32, 32);
+    spawn_camera(&mut app, &target, 4.0, settings(16));
+    finish(&mut app);
+    assert_eq!(statistics(&app).depth_passes, 0);
+    assert_near(
+        "a box in front",
+        read(&mut app, &target).mean([15, 15, 17, 17]).x,
+        1.0,
+        1e-3,
+    );
+    app.world_mut()
+        .get_mut::<Transform>(cube)
+        .expect("a box")
+        .translation
+        .z = -1.0;
+    finish(&mut app);
+    assert_near(
+        "a box behind",
+        read(&mut app, &target).mean([15, 15, 17, 17]).x,
+        0.0,
+        1e-3,
+    );
+    assert_eq!(statistics(&app).depth_passes, 0);
+    app.world_mut()
+        .get_mut::<Transform>(cube)
+        .expect("a box")
+        .translation
+        .z = 0.35;
+    app.update();
+    finish(&mut app);
+    let passes = statistics(&app).depth_passes;
+    assert!(passes > 0, "a mesh inside needs depth");
+    for _ in 0..5 {
+        app.update();
+    }
+    assert_eq!(
+        statistics(&app).depth_passes,
+        passes,
+        "a finished image needs none"
+    );
+}
+
+/// A tilted edge in front of the volume is as smooth as without a volume behind it.
+fn edges_of_meshes_are_smooth_with_msaa() {
+    let mut app = app();
+    app.insert_resource(VolumeEnvironment {
+        is_sky: false,
+        ..VolumeEnvironment::from_radiance(LinearRgba::BLACK)
+    });
+    let volume = spawn_volume(&mut app, solid(Vec3::new(3.0, 3.0, 0.5)), matter(50.0, 0.0));
+    let cube = spawn_box(
+        &mut app,
+        Vec3::new(1.0, 1.0, 0.1),
+        Vec3::new(-0.5, 0.0, 1.0),
+    );
+    let mut transform = app.world_mut().get_mut::<Transform>(cube).expect("a box");
+    transform.rotation = Quat::from_rotation_z(0.1);
+    let target = target(&mut app, 48, 48);
+    let camera = spawn_camera(&mut app, &target, 4.0, settings(16));
+    app.world_mut().entity_mut(camera).insert(Msaa::Sample4);
+    finish(&mut app);
+    let with = read(&mut app, &target);
+    app.world_mut().despawn(volume);
+    let without = read(&mut app, &target);
+    let partial = |p: &&[f32; 4]| p[0] > 0.05 && p[0] < 0.95;
+    assert!(
+        without.pixels.iter().filter(partial).count() > 10,
+        "the edge is smooth"
+    );
+    for (a, b) in with.pixels.iter().zip(&without.pixels) {
+        assert_near("a pixel of the edge", a[0], b[0], 2e-3);
+    }
+}

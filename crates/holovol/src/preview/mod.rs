@@ -1,0 +1,170 @@
+//! `holovol preview`: a window in which scans are looked at.
+
+mod camera;
+mod open;
+mod panel;
+mod quality;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use bevy::core_pipeline::tonemapping::Tonemapping;
+use bevy::log::LogPlugin;
+use bevy::prelude::*;
+use bevy::window::{PresentMode, RequestRedraw, WindowResolution};
+use bevy::winit::{UpdateMode, WinitSettings};
+use bevy_egui::EguiPlugin;
+use bevy_holovol::prelude::*;
+
+use crate::cli::PreviewArgs;
+use crate::{Exit, Failure};
+
+/// What is shown, and what became of the last wish.
+#[derive(Resource)]
+pub(crate) struct Session {
+    volume: Entity,
+    camera: Entity,
+    /// What is in the window, as its title says.
+    name: String,
+    /// The last thing that went wrong, or well, in plain words.
+    status: Option<Status>,
+    /// Ends the app after as many frames: for tests.
+    frames_left: Option<u32>,
+}
+
+enum Status {
+    Done(String),
+    Failed(String),
+}
+
+/// Files that the command line names, opened at the start.
+#[derive(Resource)]
+struct FirstFiles(Vec<PathBuf>);
+
+/// Opens the window and works until it is closed.
+pub(crate) fn run(args: &PreviewArgs) -> Result<(), Failure> {
+    if !has_display() {
+        return Err(Failure::new(
+            Exit::Usage,
+            "there is no display to open a window on; `holovol demo` and `holovol render` make \
+             pictures without one",
+        ));
+    }
+    for file in &args.files {
+        if !file.exists() {
+            let message = format!("{}: there is no such file or folder", file.display());
+            return Err(Failure::new(Exit::Input, message));
+        }
+    }
+    // Bevy ends the process if there is no adapter: that is found out before, and said kindly.
+    holovol_render::Gpu::new(None)?;
+    let [width, height] = args.size;
+    let window = Window {
+        title: "holovol".into(),
+        name: Some("holovol".into()),
+        resolution: WindowResolution::new(width, height),
+        present_mode: PresentMode::AutoVsync,
+        ..default()
+    };
+    let mut app = App::new();
+    app.add_plugins((
+        DefaultPlugins
+            .set(WindowPlugin {
+                primary_window: Some(window),
+                ..default()
+            })
+            .set(LogPlugin {
+                filter: "warn,bevy_render::renderer=error".into(),
+                ..default()
+            }),
+        EguiPlugin::default(),
+        HolovolPlugins,
+    ))
+    .insert_resource(ClearColor(Color::srgb(0.02, 0.02, 0.025)))
+    .insert_resource(WinitSettings {
+        focused_mode: UpdateMode::reactive(Duration::from_secs(1)),
+        unfocused_mode: UpdateMode::reactive_low_power(Duration::from_secs(1)),
+    })
+    .insert_resource(FirstFiles(args.files.clone()))
+    .insert_resource(FrameLimit(args.frames))
+    .add_plugins((
+        camera::CameraPlugin,
+        open::OpenPlugin,
+        panel::PanelPlugin,
+        quality::QualityPlugin,
+    ))
+    .add_systems(Startup, setup)
+    .add_systems(Last, (title, keep_drawing, end_after_frames));
+    match app.run() {
+        AppExit::Success => Ok(()),
+        AppExit::Error(_) => Err(Failure::new(
+            Exit::Device,
+            "the window closed after an error of the graphics device; what it said is above",
+        )),
+    }
+}
+
+/// Whether windows can be opened; elsewhere than on Unix they always can.
+fn has_display() -> bool {
+    let is_set = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
+    !cfg!(all(unix, not(target_os = "macos"))) || is_set("DISPLAY") || is_set("WAYLAND_DISPLAY")
+}
+
+#[derive(Resource)]
+struct FrameLimit(Option<u32>);
+
+fn setup(mut commands: Commands, limit: Res<FrameLimit>) {
+    let volume = commands.spawn(Volume3d::default()).id();
+    let camera = commands
+        .spawn((
+            Camera3d::default(),
+            Tonemapping::KhronosPbrNeutral,
+            VolumeRenderSettings {
+                max_samples: quality::RESTING_SAMPLES,
+                ..default()
+            },
+            camera::Orbit::default(),
+        ))
+        .id();
+    commands.insert_resource(Session {
+        volume,
+        camera,
+        name: String::new(),
+        status: None,
+        frames_left: limit.0,
+    });
+}
+
+fn title(session: Res<Session>, mut windows: Query<&mut Window>) {
+    for mut window in &mut windows {
+        let title = if session.name.is_empty() {
+            "holovol".to_owned()
+        } else {
+            format!("{} — holovol", session.name)
+        };
+        if window.title != title {
+            window.title = title;
+        }
+    }
+}
+
+/// Asks for the next frame while there is something to do; else the app sleeps.
+fn keep_drawing(
+    statistics: Res<bevy_holovol::VolumeStatistics>,
+    opening: Res<open::Opening>,
+    session: Res<Session>,
+    mut redraw: MessageWriter<RequestRedraw>,
+) {
+    if !statistics.get().is_done || opening.is_busy() || session.frames_left.is_some() {
+        redraw.write(RequestRedraw);
+    }
+}
+
+fn end_after_frames(mut session: ResMut<Session>, mut exit: MessageWriter<AppExit>) {
+    if let Some(left) = &mut session.bypass_change_detection().frames_left {
+        *left = left.saturating_sub(1);
+        if *left == 0 {
+            exit.write(AppExit::Success);
+        }
+    }
+}

@@ -1,0 +1,505 @@
+//! The path tracer for apps that draw frame after frame.
+//!
+//! A [`FrameTracer`] keeps one volume's majorants, matter and images on a device that may be
+//! somebody else's. Each frame [`FrameTracer::record`] puts what is to do into a command encoder of
+//! the caller's, for up to [`MAX_VIEWS`] views in one dispatch, and never waits for the device.
+//! A view that has not changed gathers further samples; one that has, or whose volume has, begins
+//! anew; one that has as many as it wants costs nothing. Paths that outlive their dispatch go on in
+//! a further one of the same frame; none is cut.
+//!
+//! Uploading a volume ([`GpuVolume::new`]) waits for the device: do it on a worker.
+
+mod kernels;
+mod readback;
+mod resume;
+mod view;
+
+use std::sync::Arc;
+
+use bytemuck::Zeroable;
+use holovol_volume::CELL_SIZE;
+
+pub(crate) use kernels::FrameKernels;
+pub use kernels::Kernels;
+use readback::Readback;
+#[cfg(test)]
+pub(crate) use resume::RESUME;
+use resume::Resume;
+use view::Slot;
+pub use view::{FrameImage, FrameWork, ViewFrame};
+
+use crate::depth::MeshDepth;
+use crate::trace::{
+    Buffers, DispatchUniform, GpuCounters, QUEUE_CAPACITY, Surroundings, ViewUniform, check_medium,
+    kernel_seed, layout, shader_defs,
+};
+use crate::{
+    Counters, Gpu, GpuEnvironment, GpuVolume, MAX_VIEWS, MajorantGrid, Medium, RenderError,
+    TraceOptions,
+};
+
+/// One volume in an app's frames.
+pub struct FrameTracer {
+    gpu: Gpu,
+    kernels: Arc<Kernels>,
+    options: TraceOptions,
+    volume: Arc<GpuVolume>,
+    majorants: MajorantGrid,
+    environment: Arc<GpuEnvironment>,
+    medium: Medium,
+    layout: wgpu::BindGroupLayout,
+    buffers: Buffers,
+    /// Remade when what they hold has been replaced.
+    bind_groups: Option<[wgpu::BindGroup; 2]>,
+    bound_mesh_depth: Option<wgpu::TextureView>,
+    resume: Resume,
+    slots: Vec<Slot>,
+    readback: Readback,
+    counters: Counters,
+    /// Counts how often an image has begun anew.
+    beginnings: u64,
+    special_kernels: Option<(bool, FrameKernels)>,
+    /// For tests.
+    general_only: bool,
+}
+
+impl FrameTracer {
+    /// Prepares a volume; no image yet. Compiles its small kernels here and the tracer on the
+    /// worker of `kernels`.
+    ///
+    /// # Errors
+    /// If the medium can't be traced or the device fails.
+    pub fn new(
+        gpu: &Gpu,
+        kernels: Arc<Kernels>,
+        volume: Arc<GpuVolume>,
+        environment: Arc<GpuEnvironment>,
+        medium: Medium,
+        options: TraceOptions,
+    ) -> Result<Self, RenderError> {
+        check_medium(&medium, volume.dims())?;
+        let majorants = MajorantGrid::new(gpu, &volume, CELL_SIZE)?;
+        let s_from_texel = volume.s_from_texel(medium.window);
+        majorants.update(gpu, &medium.transfer_function, s_from_texel)?;
+        let layout = layout(gpu, options.interpolation, volume.slices)?;
+        let mut buffers = Buffers::new(gpu, 0, &options)?;
+        buffers.set_medium(gpu, &medium, &volume, &majorants, &environment)?;
+        let resume = Resume::new(gpu, &buffers)?;
+        let mut tracer = Self {
+            gpu: gpu.clone(),
+            kernels,
+            options,
+            volume,
+            majorants,
+            environment,
+            medium,
+            layout,
+            buffers,
+            bind_groups: None,
+            bound_mesh_depth: None,
+            resume,
+            slots: Vec::new(),
+            readback: Readback::new(gpu, size_of::<GpuCounters>() as u64)?,
+            counters: Counters::default(),
+            beginnings: 0,
+            special_kernels: None,
+            general_only: false,
+        };
+        tracer.kernels(false)?;
+        Ok(tracer)
+    }
+
+    /// Takes another medium; true if it differs. Majorants are found anew only if extinctions or
+    /// window changed.
+    ///
+    /// # Errors
+    /// If it can't be traced (the old one stays) or the device fails.
+    pub fn set_medium(&mut self, medium: &Medium) -> Result<bool, RenderError> {
+        if *medium == self.medium {
+            return Ok(false);
+        }
+        check_medium(medium, self.volume.dims())?;
+        let needs_majorants = medium.window != self.medium.window
+            || medium.transfer_function != self.medium.transfer_function;
+        if needs_majorants {
+            let s_from_texel = self.volume.s_from_texel(medium.window);
+            self.majorants
+                .update(&self.gpu, &medium.transfer_function, s_from_texel)?;
+        }
+        self.medium = medium.clone();
+        self.upload_medium()?;
+        Ok(true)
+    }
+
+    /// Takes other light; true if it is another map.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn set_environment(
+        &mut self,
+        environment: &Arc<GpuEnvironment>,
+    ) -> Result<bool, RenderError> {
+        if Arc::ptr_eq(environment, &self.environment) {
+            return Ok(false);
+        }
+        self.environment = Arc::clone(environment);
+        self.upload_medium()?;
+        Ok(true)
+    }
+
+    fn upload_medium(&mut self) -> Result<(), RenderError> {
+        self.bind_groups = None;
+        self.special_kernels = None;
+        for slot in &mut self.slots {
+            slot.view = None;
+        }
+        self.buffers.set_medium(
+            &self.gpu,
+            &self.medium,
+            &self.volume,
+            &self.majorants,
+            &self.environment,
+        )
+    }
+
+    /// Makes room for images of these sizes; all begin anew if the room has to change.
+    ///
+    /// # Errors
+    /// [`RenderError::Scene`] for more than [`MAX_VIEWS`] views or images beyond the device's
+    /// buffers, [`RenderError::OutOfMemory`].
+    pub fn set_views(&mut self, rooms: &[[u32; 2]]) -> Result<(), RenderError> {
+        if self
+            .slots
+            .iter()
+            .map(|slot| slot.room)
+            .eq(rooms.iter().copied())
+        {
+            return Ok(());
+        }
+        let pixels = |[width, height]: [u32; 2]| u64::from(width) * u64::from(height);
+        let total: u64 = rooms.iter().copied().map(pixels).sum();
+        let limits = self.gpu.device.limits();
+        let limit = limits
+            .max_storage_buffer_binding_size
+            .min(limits.max_buffer_size);
+        if rooms.len() > MAX_VIEWS || 32 * total > limit {
+            return Err(RenderError::Scene {
+                field: "camera",
+                reason: format!(
+                    "{} views of {total} pixels in all: this device takes at most {MAX_VIEWS} \
+                     views and {} pixels; lower the resolution scale",
+                    rooms.len(),
+                    limit / 32
+                ),
+            });
+        }
+        // Samples of what was drawn go with the buffers; so do paths that were saved.
+        self.buffers = Buffers::new(&self.gpu, total, &self.options)?;
+        self.resume = Resume::new(&self.gpu, &self.buffers)?;
+        self.upload_medium()?;
+        let mut first_pixel = 0;
+        self.slots = rooms
+            .iter()
+            .map(|&room| {
+                let slot = Slot {
+                    first_pixel,
+                    room,
+                    view: None,
+                    mesh_depth: None,
+                    samples: 0,
+                    uniform: ViewUniform::zeroed(),
+                };
+                first_pixel += pixels(room) as u32;
+                slot
+            })
+            .collect();
+        Ok(())
+    }
+
+    /// Records a frame's work. Views that are done, and all if nothing is left to do, cost nothing.
+    ///
+    /// # Errors
+    /// If the device fails, or the kernels don't compile.
+    ///
+    /// # Panics
+    /// If a slot doesn't exist, or its view is larger than its room.
+    pub fn record(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        views: &[ViewFrame],
+        mesh_depth: Option<&MeshDepth>,
+    ) -> Result<FrameWork, RenderError> {
+        self.poll();
+        let mesh_depth = mesh_depth.and_then(MeshDepth::view);
+        let ends_at_meshes = mesh_depth.is_some() && views.iter().any(|v| v.mesh_depth.is_some());
+        let Some(kernels) = self.kernels(ends_at_meshes)? else {
+            // What was asked for now must not be forgotten until they are there.
+            for frame in views.iter().filter(|frame| frame.restart) {
+                self.slots[frame.slot].view = None;
+            }
+            return Ok(FrameWork {
+                is_waiting: true,
+                ..Default::default()
+            });
+        };
+        for slot in &mut self.slots {
+            slot.uniform.samples = [0; 4];
+        }
+        for frame in views {
+            self.prepare_view(encoder, frame);
+        }
+        let traces = self.slots.iter().any(Slot::is_traced);
+        if !traces {
+            return Ok(FrameWork::default());
+        }
+        self.bind(mesh_depth)?;
+        Ok(self.record_dispatches(encoder, &kernels))
+    }
+
+    /// Whether a view would be given samples.
+    pub fn wants(&self, frame: &ViewFrame) -> bool {
+        let Some(slot) = self.slots.get(frame.slot) else {
+            return false;
+        };
+        let begins =
+            frame.restart || slot.view != Some(frame.view) || slot.mesh_depth != frame.mesh_depth;
+        let samples = if begins { 0 } else { slot.samples };
+        frame.samples > 0 && samples < frame.max_samples
+    }
+
+    /// The variant for the present medium, or the general one until it is compiled.
+    fn kernels(&mut self, mesh_depth: bool) -> Result<Option<FrameKernels>, RenderError> {
+        if let Some((with_depth, kernels)) = &self.special_kernels
+            && *with_depth == mesh_depth
+            && !self.general_only
+        {
+            return Ok(Some(kernels.clone()));
+        }
+        let surroundings = Surroundings {
+            constant_environment: self.environment.is_constant(),
+            has_density: self.environment.has_density(),
+            slices: self.volume.slices,
+            mesh_depth,
+        };
+        let get = |medium: &Medium, surroundings| {
+            let defs = shader_defs(&self.gpu, medium, &self.options, surroundings);
+            self.kernels
+                .get(&defs, self.options.interpolation, self.volume.slices)
+        };
+        let special = get(&self.medium, surroundings)?;
+        if let Some(kernels) = special
+            && !self.general_only
+        {
+            self.special_kernels = Some((mesh_depth, kernels.clone()));
+            return Ok(Some(kernels));
+        }
+        get(
+            &Medium::general(),
+            Surroundings {
+                mesh_depth: true,
+                ..surroundings
+            },
+        )
+    }
+
+    /// Brings a slot to a frame's wishes.
+    fn prepare_view(&mut self, encoder: &mut wgpu::CommandEncoder, frame: &ViewFrame) {
+        let slot = &mut self.slots[frame.slot];
+        let [width, height] = frame.view.size;
+        assert!(
+            width <= slot.room[0] && height <= slot.room[1],
+            "a view no larger than its room"
+        );
+        let is_new = slot.view != Some(frame.view) || slot.mesh_depth != frame.mesh_depth;
+        if frame.restart || is_new {
+            let pixel = 32u64;
+            encoder.clear_buffer(
+                &self.buffers.accumulators,
+                pixel * u64::from(slot.first_pixel),
+                Some(pixel * u64::from(width) * u64::from(height)),
+            );
+            slot.view = Some(frame.view);
+            slot.mesh_depth = frame.mesh_depth;
+            slot.samples = 0;
+            self.beginnings += 1;
+            let mut uniform = ViewUniform::new(&frame.view, &self.medium, &self.volume);
+            uniform.image[2] = slot.first_pixel;
+            uniform.image[3] = kernel_seed(beginning_seed(self.options.seed, self.beginnings));
+            if let Some(depth) = frame.mesh_depth {
+                uniform.mesh_depth = [depth.size[0], depth.size[1], depth.first, depth.count];
+            }
+            slot.uniform = uniform;
+        }
+        let start = slot.samples;
+        let end = start.saturating_add(frame.samples).min(frame.max_samples);
+        if end > start && frame.view.is_valid() {
+            slot.samples = end;
+            slot.uniform.samples = [start, end, 0, 0];
+        }
+    }
+
+    fn bind(&mut self, mesh_depth: Option<&wgpu::TextureView>) -> Result<(), RenderError> {
+        if self.bound_mesh_depth.as_ref() != mesh_depth {
+            self.bound_mesh_depth = mesh_depth.cloned();
+            self.bind_groups = None;
+        }
+        if self.bind_groups.is_none() {
+            self.bind_groups = Some(self.buffers.bind_groups(
+                &self.gpu,
+                &self.layout,
+                &self.volume,
+                &self.majorants,
+                &self.environment,
+                mesh_depth,
+            )?);
+        }
+        Ok(())
+    }
+
+    fn record_dispatches(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        kernels: &FrameKernels,
+    ) -> FrameWork {
+        let mut work = FrameWork::default();
+        let Some(bind_groups) = &self.bind_groups else {
+            return work;
+        };
+        let traced = || self.slots.iter().filter(|slot| slot.is_traced());
+        let [left, top, right, bottom] = traced()
+            .filter_map(|slot| slot.view?.bounds(&self.medium.corners()))
+            .fold([u32::MAX, u32::MAX, 0, 0], |a, b| {
+                [
+                    a[0].min(b[0]),
+                    a[1].min(b[1]),
+                    a[2].max(b[2]),
+                    a[3].max(b[3]),
+                ]
+            });
+        let tile_size = [right.saturating_sub(left), bottom.saturating_sub(top)];
+        let uniform = DispatchUniform {
+            tile_origin: [left, top],
+            tile_size,
+            seed: 0,
+            budget: self.options.budget,
+            resumed_paths: 0,
+            queue_capacity: QUEUE_CAPACITY,
+        };
+        // Slots keep their place, so that a path that was saved finds its view again.
+        let views: Vec<_> = self.slots.iter().map(|slot| slot.uniform).collect();
+        let queue = &self.gpu.queue;
+        queue.write_buffer(&self.buffers.dispatch, 0, bytemuck::bytes_of(&uniform));
+        queue.write_buffer(&self.buffers.views, 0, bytemuck::cast_slice(&views));
+        // The words that the kernels which count saved paths write.
+        encoder.clear_buffer(&self.buffers.counters, GpuCounters::FLOW, Some(8));
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some("holovol trace"),
+            timestamp_writes: None,
+        });
+        let [x, y] = tile_size.map(|n| n.div_ceil(8));
+        if x > 0 && y > 0 {
+            pass.set_pipeline(&kernels.trace);
+            pass.set_bind_group(0, &bind_groups[0], &[]);
+            pass.dispatch_workgroups(x, y, views.len() as u32);
+            // Paths that outlived their budget; the last dispatch has none.
+            for (count, bind_group) in self.resume.pipelines.iter().zip([1, 0]) {
+                pass.set_pipeline(count);
+                pass.set_bind_group(0, &self.resume.bind_group, &[]);
+                pass.dispatch_workgroups(1, 1, 1);
+                pass.set_pipeline(&kernels.resume);
+                pass.set_bind_group(0, &bind_groups[bind_group], &[]);
+                pass.dispatch_workgroups_indirect(&self.resume.workgroups, 0);
+            }
+            work.dispatches = 5;
+        }
+        drop(pass);
+        for view in &views {
+            let samples = view.samples[1] - view.samples[0];
+            let pixels = u64::from(view.image[0]) * u64::from(view.image[1]);
+            work.samples += pixels * u64::from(samples);
+        }
+        self.readback.record(encoder, &self.buffers.counters);
+        work
+    }
+
+    /// Takes in what the device has counted.
+    fn poll(&mut self) {
+        let Some(bytes) = self.readback.poll() else {
+            return;
+        };
+        let counted: GpuCounters = bytemuck::pod_read_unaligned(&bytes);
+        self.counters = Counters {
+            majorant_violations: u64::from(counted.majorant_violations),
+            nonfinite_samples: u64::from(counted.nonfinite_samples),
+            continued_paths: 0,
+            lookups: u64::from(counted.lookups),
+            cells: u64::from(counted.cells),
+            covered_samples: u64::from(counted.covered_samples),
+        };
+    }
+
+    /// What the kernels counted, a few frames ago.
+    pub fn counters(&self) -> Counters {
+        self.counters
+    }
+
+    /// The medium.
+    pub fn medium(&self) -> &Medium {
+        &self.medium
+    }
+
+    /// A view's image; `None` until it has samples.
+    pub fn image(&self, slot: usize) -> Option<FrameImage> {
+        let slot = self.slots.get(slot)?;
+        let view = slot.view?;
+        (slot.samples > 0).then_some(FrameImage {
+            first_pixel: slot.first_pixel,
+            size: view.size,
+            samples: slot.samples,
+            view,
+        })
+    }
+
+    /// Sums of all images: two vectors per pixel of premultiplied radiance and opacity.
+    pub fn accumulators(&self) -> &wgpu::Buffer {
+        &self.buffers.accumulators
+    }
+
+    /// Waits until its kernels are compiled: for tests and servers.
+    pub fn wait_for_kernels(&self) {
+        self.kernels.wait();
+    }
+
+    /// Traces with the variant that serves until the right one is compiled.
+    #[cfg(any(test, feature = "testing"))]
+    #[doc(hidden)]
+    pub fn use_general_kernels(&mut self, only: bool) {
+        self.general_only = only;
+    }
+
+    /// Reads a view's image back and waits for it: for tests and servers.
+    ///
+    /// # Errors
+    /// If the device is lost.
+    pub fn read_image(&self, slot: usize) -> Result<Vec<[f32; 4]>, RenderError> {
+        let Some(image) = self.image(slot) else {
+            return Ok(Vec::new());
+        };
+        let buffer = &self.buffers.accumulators;
+        let bytes = self.gpu.read_buffer("the image", buffer, buffer.size())?;
+        let sums: Vec<[[f32; 4]; 2]> = bytemuck::pod_collect_to_vec(&bytes);
+        let count = f64::from(image.samples);
+        let first = image.first_pixel as usize;
+        let pixels = image.size[0] as usize * image.size[1] as usize;
+        let mean = |[a, b]: &[[f32; 4]; 2]| {
+            std::array::from_fn(|c| ((f64::from(a[c]) + f64::from(b[c])) / count) as f32)
+        };
+        Ok(sums[first..first + pixels].iter().map(mean).collect())
+    }
+}
+
+/// Another for every beginning, so that noise neither repeats in time nor between eyes.
+pub(crate) fn beginning_seed(seed: u64, beginning: u64) -> u64 {
+    // The golden ratio's bits: multiples of it are far apart.
+    seed.wrapping_add(beginning.wrapping_mul(0x9e37_79b9_7f4a_7c15))
+}

@@ -1,0 +1,116 @@
+use holovol_light::{EnvironmentMap, EnvironmentSampler};
+use wgpu::util::DeviceExt;
+
+use crate::{Gpu, RenderError};
+
+/// An environment map in the device's memory, with the table that light is drawn from.
+pub struct GpuEnvironment {
+    pub(super) view: wgpu::TextureView,
+    pub(super) alias: wgpu::Buffer,
+    size: [u32; 2],
+    constant: Option<[f32; 3]>,
+    /// 1 / integral of importance; `None` if nothing can be drawn: a constant or a black map.
+    normalisation: Option<f64>,
+}
+
+impl GpuEnvironment {
+    /// Uploads a map as 32-bit floats: suns pass what 16 bits hold. One texel if it is constant.
+    ///
+    /// # Errors
+    /// If the map is larger than the device allows or doesn't fit its memory.
+    pub fn new(gpu: &Gpu, map: &EnvironmentMap) -> Result<Self, RenderError> {
+        let constant = map.as_constant();
+        let (width, height) = if constant.is_some() {
+            (1, 1)
+        } else {
+            (map.width() as u32, map.height() as u32)
+        };
+        let limit = gpu.device.limits().max_texture_dimension_2d;
+        if width > limit || height > limit {
+            return Err(RenderError::Scene {
+                field: "environment",
+                reason: format!(
+                    "map of {width} × {height}: this device holds at most {limit} a side"
+                ),
+            });
+        }
+        let sampler = if constant.is_some() {
+            None
+        } else {
+            EnvironmentSampler::new(map)
+        };
+        let alias: Vec<[u32; 2]> = match &sampler {
+            Some(sampler) => {
+                let entries = sampler.entries().iter();
+                entries
+                    .map(|entry| [entry.threshold.to_bits(), entry.alias])
+                    .collect()
+            }
+            None => vec![[0, 0]],
+        };
+        let texels: Vec<[f32; 4]> = map.texels()[..width as usize * height as usize]
+            .iter()
+            .map(|&[r, g, b]| [r, g, b, 0.0])
+            .collect();
+        let bytes = 16 * texels.len() as u64 + 8 * alias.len() as u64;
+        let (view, alias) = gpu.scoped("the environment", bytes, || {
+            let texture = gpu.device.create_texture_with_data(
+                &gpu.queue,
+                &wgpu::TextureDescriptor {
+                    label: Some("holovol environment"),
+                    size: wgpu::Extent3d {
+                        width,
+                        height,
+                        depth_or_array_layers: 1,
+                    },
+                    mip_level_count: 1,
+                    sample_count: 1,
+                    dimension: wgpu::TextureDimension::D2,
+                    format: wgpu::TextureFormat::Rgba32Float,
+                    usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+                    view_formats: &[],
+                },
+                wgpu::util::TextureDataOrder::LayerMajor,
+                bytemuck::cast_slice(&texels),
+            );
+            let alias = gpu.filled(
+                "holovol light",
+                bytemuck::cast_slice(&alias),
+                wgpu::BufferUsages::STORAGE,
+            );
+            (texture.create_view(&Default::default()), alias)
+        })?;
+        Ok(Self {
+            view,
+            alias,
+            size: [width, height],
+            constant,
+            normalisation: sampler.map(|sampler| sampler.normalisation()),
+        })
+    }
+
+    /// Whether its radiance is the same from everywhere.
+    pub fn is_constant(&self) -> bool {
+        self.constant.is_some()
+    }
+
+    /// Whether directions can be drawn from its table.
+    pub(crate) fn has_density(&self) -> bool {
+        self.normalisation.is_some()
+    }
+
+    /// `environment_size` of the scene uniform: a constant map's scaled radiance, or the size of
+    /// another and the normalisation of its density.
+    pub(super) fn size_or_radiance(&self, scale: f64) -> [f32; 4] {
+        match self.constant {
+            Some(radiance) => {
+                let [r, g, b] = radiance.map(|c| (f64::from(c) * scale) as f32);
+                [r, g, b, 0.0]
+            }
+            None => {
+                let normalisation = self.normalisation.unwrap_or(0.0) as f32;
+                [self.size[0] as f32, self.size[1] as f32, normalisation, 0.0]
+            }
+        }
+    }
+}

@@ -1,0 +1,377 @@
+//! The tracer of live views gives what the offline one gives, and does no more than it must.
+
+use std::sync::Arc;
+
+use glam::{DMat4, DVec3, DVec4};
+use holovol_render::testing::beginning_seed;
+use holovol_render::wgpu;
+use holovol_render::{
+    DepthSource, FrameTracer, FrameWork, Gpu, GpuEnvironment, GpuVolume, Interpolation, Kernels,
+    Medium, MeshDepth, TraceOptions, Tracer, View, ViewFrame,
+};
+use holovol_scene::{Camera, Scene};
+use holovol_volume::{TransferFunction, Voxels};
+
+use super::scenes;
+
+fn text(error: impl std::fmt::Display) -> String {
+    error.to_string()
+}
+
+fn tracer(gpu: &Gpu, scene: &Scene, options: &TraceOptions) -> Result<FrameTracer, String> {
+    let kernels = Arc::new(Kernels::new(gpu).map_err(text)?);
+    let volume = GpuVolume::new(gpu, &scene.volume, Interpolation::Exact, false).map_err(text)?;
+    let environment = GpuEnvironment::new(gpu, &scene.environment.map).map_err(text)?;
+    let tracer = FrameTracer::new(
+        gpu,
+        Arc::clone(&kernels),
+        Arc::new(volume),
+        Arc::new(environment),
+        Medium::from_scene(scene),
+        options.clone(),
+    )
+    .map_err(text)?;
+    kernels.wait();
+    Ok(tracer)
+}
+
+fn view(slot: usize, camera: &Camera, samples: u32, max_samples: u32) -> ViewFrame {
+    ViewFrame {
+        slot,
+        view: View::from_camera(camera),
+        samples,
+        max_samples,
+        restart: false,
+        mesh_depth: None,
+    }
+}
+
+/// One frame, submitted and waited for.
+fn frame(
+    gpu: &Gpu,
+    tracer: &mut FrameTracer,
+    views: &[ViewFrame],
+    depth: Option<&MeshDepth>,
+) -> Result<FrameWork, String> {
+    let mut encoder = gpu.device.create_command_encoder(&Default::default());
+    let mut work = tracer.record(&mut encoder, views, depth).map_err(text)?;
+    if work.is_waiting {
+        tracer.wait_for_kernels();
+        work = tracer.record(&mut encoder, views, depth).map_err(text)?;
+    }
+    gpu.queue.submit([encoder.finish()]);
+    let wait = wgpu::PollType::wait_indefinitely();
+    gpu.device.poll(wait).map_err(text)?;
+    Ok(work)
+}
+
+fn bits(image: &[[f32; 4]]) -> Vec<[u32; 4]> {
+    image.iter().map(|pixel| pixel.map(f32::to_bits)).collect()
+}
+
+fn offline(gpu: &Gpu, scene: &Scene, seed: u64, spp: u32) -> Result<Vec<[u32; 4]>, String> {
+    let options = TraceOptions {
+        seed,
+        ..Default::default()
+    };
+    let mut tracer = Tracer::new(gpu, scene, &options).map_err(text)?;
+    tracer.accumulate(spp).map_err(text)?;
+    Ok(bits(&tracer.read_image().map_err(text)?))
+}
+
+/// Two views in one dispatch, hurried so that paths go on in further dispatches, are bit by bit what the
+/// offline tracer makes of each; then nothing is left to do.
+pub fn equal_the_offline_tracer(gpu: &Gpu) -> Result<(), String> {
+    let scene = scenes::scene();
+    let other = Camera {
+        eye: DVec3::new(-0.3, 0.2, 0.2),
+        width: 31,
+        height: 17,
+        ..scene.camera
+    };
+    let options = TraceOptions {
+        budget: 7,
+        ..Default::default()
+    };
+    let mut tracer = tracer(gpu, &scene, &options)?;
+    let cameras = [scene.camera, other];
+    let rooms = cameras.map(|camera| [camera.width + 3, camera.height]);
+    tracer.set_views(&rooms).map_err(text)?;
+    let views = [view(0, &scene.camera, 1, 5), view(1, &other, 2, 7)];
+    for _ in 0..5 {
+        frame(gpu, &mut tracer, &views, None)?;
+    }
+    for (slot, (camera, samples)) in cameras.into_iter().zip([5, 7]).enumerate() {
+        let scene = Scene {
+            camera,
+            ..scene.clone()
+        };
+        let expected = offline(gpu, &scene, beginning_seed(0, slot as u64 + 1), samples)?;
+        let found = bits(&tracer.read_image(slot).map_err(text)?);
+        if expected.iter().all(|pixel| *pixel == expected[0]) {
+            return Err("the image is empty".into());
+        }
+        let differ = found.iter().zip(&expected).filter(|(a, b)| a != b).count();
+        if found.len() != expected.len() || differ > 0 {
+            return Err(format!("view {slot}: {differ} pixels differ"));
+        }
+    }
+    let counters = tracer.counters();
+    if counters.nonfinite_samples + counters.majorant_violations != 0 {
+        return Err(format!("{counters:?}"));
+    }
+    let idle = frame(gpu, &mut tracer, &views, None)?;
+    if idle != FrameWork::default() {
+        return Err(format!("a finished image costs {idle:?}"));
+    }
+    Ok(())
+}
+
+/// The variant that serves until the right one is compiled gives the same light.
+pub fn general_kernels_equal_special_ones(gpu: &Gpu) -> Result<(), String> {
+    for (max_scatters, gradient_factor, planes) in [
+        (Some(1), 0.0, vec![]),
+        (None, 0.8, vec![DVec4::new(1.0, 0.5, 0.0, 0.01)]),
+    ] {
+        let mut scene = scenes::scene();
+        scene.integrator.max_scatters = max_scatters;
+        scene.gradient_factor = gradient_factor;
+        let mut medium = Medium::from_scene(&scene);
+        medium.clip_planes = planes;
+        let mut means = Vec::new();
+        for general in [false, true] {
+            let mut tracer = tracer(gpu, &scene, &TraceOptions::default())?;
+            tracer.set_medium(&medium).map_err(text)?;
+            tracer.use_general_kernels(general);
+            let camera = &scene.camera;
+            tracer
+                .set_views(&[[camera.width, camera.height]])
+                .map_err(text)?;
+            let views = [view(0, camera, 64, 256)];
+            for _ in 0..4 {
+                frame(gpu, &mut tracer, &views, None)?;
+            }
+            let image = tracer.read_image(0).map_err(text)?;
+            let mean = image.iter().map(|p| f64::from(p[0] + p[3])).sum::<f64>();
+            means.push(mean / image.len() as f64);
+        }
+        // 480 pixels of 256 samples: half a per cent is several standard deviations.
+        if !(means[0] > 0.01 && (means[0] / means[1] - 1.0).abs() < 0.02) {
+            return Err(format!("mean radiance and opacity {means:?}"));
+        }
+    }
+    Ok(())
+}
+
+/// 1 m of 2 /m, seen head-on from 2 m before its front.
+fn slab() -> Scene {
+    let points = vec![scenes::point(0.5, 2.0)];
+    Scene {
+        volume: scenes::volume(Voxels::U8(vec![7; 64]), [4, 4, 4]),
+        window: [0.0, 255.0],
+        world_from_unit_cube: DMat4::from_translation(DVec3::splat(-0.5)),
+        transfer_function: TransferFunction::new(points).expect("a point"),
+        gradient_factor: 0.0,
+        camera: Camera {
+            eye: DVec3::new(0.0, 0.0, 2.5),
+            target: DVec3::ZERO,
+            up: DVec3::Y,
+            fov_y: 0.02,
+            width: 16,
+            height: 16,
+        },
+        ..scenes::scene()
+    }
+}
+
+fn mean_opacity(tracer: &FrameTracer, slot: usize) -> Result<f64, String> {
+    let image = tracer.read_image(slot).map_err(text)?;
+    let sum: f64 = image.iter().map(|pixel| f64::from(pixel[3])).sum();
+    Ok(sum / image.len() as f64)
+}
+
+const NEAR: f64 = 0.1;
+
+/// A depth buffer with a mesh `metres` away all over, of any number of samples per pixel.
+fn depth_buffer(gpu: &Gpu, size: [u32; 2], samples: u32, metres: f64) -> wgpu::TextureView {
+    let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
+        label: None,
+        size: wgpu::Extent3d {
+            width: size[0],
+            height: size[1],
+            depth_or_array_layers: 1,
+        },
+        mip_level_count: 1,
+        sample_count: samples,
+        dimension: wgpu::TextureDimension::D2,
+        format: wgpu::TextureFormat::Depth32Float,
+        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::RENDER_ATTACHMENT,
+        view_formats: &[],
+    });
+    let view = texture.create_view(&Default::default());
+    let mut encoder = gpu.device.create_command_encoder(&Default::default());
+    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+        label: None,
+        color_attachments: &[],
+        depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+            view: &view,
+            depth_ops: Some(wgpu::Operations {
+                load: wgpu::LoadOp::Clear((NEAR / metres) as f32),
+                store: wgpu::StoreOp::Store,
+            }),
+            stencil_ops: None,
+        }),
+        timestamp_writes: None,
+        occlusion_query_set: None,
+        multiview_mask: None,
+    });
+    gpu.queue.submit([encoder.finish()]);
+    view
+}
+
+/// Opacity of what lies before a mesh: 1 − exp(−σ·d), with and without multisampling, in views of
+/// other resolutions than the depth buffer, and beside a view without meshes.
+pub fn paths_end_at_meshes(gpu: &Gpu) -> Result<(), String> {
+    let scene = slab();
+    let mut tracer = tracer(gpu, &scene, &TraceOptions::default())?;
+    let sizes = [[16, 16], [8, 8], [16, 16]];
+    tracer.set_views(&sizes).map_err(text)?;
+    let clip_from_view = DMat4::perspective_infinite_reverse_rh(0.02, 1.0, NEAR);
+    for (behind_front, samples) in [(-0.5f64, 1), (0.25, 4), (0.6, 1), (9.0, 4)] {
+        let mut depth = MeshDepth::new(gpu).map_err(text)?;
+        depth.reserve([16, 16], 2 * samples).map_err(text)?;
+        let mut encoder = gpu.device.create_command_encoder(&Default::default());
+        let mut layers = Vec::new();
+        for (i, metres) in [2.0 + behind_front, 2.1].into_iter().enumerate() {
+            let texture = depth_buffer(gpu, [40, 30], samples, metres);
+            let source = DepthSource {
+                texture: &texture,
+                samples,
+                viewport: [10, 5, 16, 16],
+                clip_from_view,
+            };
+            let first = i as u32 * samples;
+            layers.push(depth.record(&mut encoder, &source, first).map_err(text)?);
+        }
+        gpu.queue.submit([encoder.finish()]);
+        let views: Vec<_> = (0..3)
+            .map(|slot| ViewFrame {
+                view: View::from_camera(&scene.camera).resized(sizes[slot]),
+                mesh_depth: layers.get(slot).copied(),
+                restart: true,
+                ..view(slot, &scene.camera, 256, 256)
+            })
+            .collect();
+        frame(gpu, &mut tracer, &views, Some(&depth))?;
+        for (slot, before_mesh) in [behind_front.clamp(0.0, 1.0), 0.1, 1.0].iter().enumerate() {
+            let found = mean_opacity(&tracer, slot)?;
+            let expected = 1.0 - (-2.0 * before_mesh).exp();
+            // Standard deviation of 64 or 256 pixels × 256 well-spread samples: below 1e-3.
+            if (found - expected).abs() > 4e-3 {
+                return Err(format!(
+                    "view {slot}, mesh {behind_front} m behind the front, {samples} samples: \
+                     opacity {found} instead of {expected}"
+                ));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// What clip planes leave of the slab has the opacity of its thickness.
+pub fn clip_planes_cut(gpu: &Gpu) -> Result<(), String> {
+    let scene = slab();
+    let mut tracer = tracer(gpu, &scene, &TraceOptions::default())?;
+    tracer.set_views(&[[16, 16]]).map_err(text)?;
+    let views = [view(0, &scene.camera, 256, 256)];
+    let cases = [
+        // Behind z = 0.2 stays, whatever the normal's length.
+        (vec![DVec4::new(0.0, 0.0, -3.0, 0.6)], 0.7),
+        (vec![DVec4::new(0.0, 0.0, 1.0, 0.1)], 0.6),
+        (
+            vec![
+                DVec4::new(0.0, 0.0, -1.0, 0.2),
+                DVec4::new(0.0, 0.0, 1.0, 0.1),
+            ],
+            0.3,
+        ),
+        // Parallel to the rays: all or nothing.
+        (vec![DVec4::new(1.0, 0.0, 0.0, 0.4)], 1.0),
+        (vec![DVec4::new(1.0, 0.0, 0.0, -0.4)], 0.0),
+    ];
+    for (clip_planes, left) in cases {
+        let medium = Medium {
+            clip_planes,
+            ..Medium::from_scene(&scene)
+        };
+        if !tracer.set_medium(&medium).map_err(text)? || tracer.set_medium(&medium).map_err(text)? {
+            return Err("a medium is new once".into());
+        }
+        frame(gpu, &mut tracer, &views, None)?;
+        let found = mean_opacity(&tracer, 0)?;
+        let expected = 1.0 - (-2.0 * left as f64).exp();
+        if (found - expected).abs() > 4e-3 {
+            return Err(format!(
+                "{:?}: opacity {found} instead of {expected}",
+                medium.clip_planes
+            ));
+        }
+    }
+    let mut medium = Medium::from_scene(&scene);
+    medium.clip_planes = vec![DVec4::Z; Medium::MAX_CLIP_PLANES + 1];
+    match tracer.set_medium(&medium) {
+        Err(error) if error.to_string().contains("clip") => Ok(()),
+        other => Err(format!("nine planes: {other:?}")),
+    }
+}
+
+/// Other matter, light or pose begin anew and need nothing uploaded twice; the same go on.
+pub fn only_changes_begin_anew(gpu: &Gpu) -> Result<(), String> {
+    let scene = slab();
+    let mut tracer = tracer(gpu, &scene, &TraceOptions::default())?;
+    tracer.set_views(&[[16, 16]]).map_err(text)?;
+    let mut views = [view(0, &scene.camera, 4, 1000)];
+    let samples = |tracer: &FrameTracer| tracer.image(0).map_or(0, |image| image.samples);
+    let expect = |tracer: &mut FrameTracer, views: &[ViewFrame], expected, what: &str| {
+        frame(gpu, tracer, views, None)?;
+        let found = samples(tracer);
+        let is_right = found == expected;
+        is_right
+            .then_some(())
+            .ok_or(format!("{what}: {found} samples, not {expected}"))
+    };
+    expect(&mut tracer, &views, 4, "first frame")?;
+    expect(&mut tracer, &views, 8, "second frame")?;
+    tracer.set_views(&[[16, 16]]).map_err(text)?;
+    expect(&mut tracer, &views, 12, "the same views")?;
+    let mut medium = Medium::from_scene(&scene);
+    tracer.set_medium(&medium).map_err(text)?;
+    expect(&mut tracer, &views, 16, "the same medium")?;
+    medium.transfer_function = medium.transfer_function.scaled(2.0);
+    tracer.set_medium(&medium).map_err(text)?;
+    expect(&mut tracer, &views, 4, "twice as dense")?;
+    for _ in 0..63 {
+        frame(gpu, &mut tracer, &views, None)?;
+    }
+    let dense = mean_opacity(&tracer, 0)?;
+    if (dense - (1.0 - (-4f64).exp())).abs() > 4e-3 {
+        return Err(format!("opacity {dense} of twice the density"));
+    }
+    let environment = GpuEnvironment::new(gpu, &scene.environment.map).map_err(text)?;
+    tracer
+        .set_environment(&Arc::new(environment))
+        .map_err(text)?;
+    expect(&mut tracer, &views, 4, "another environment")?;
+    views[0].restart = true;
+    expect(&mut tracer, &views, 4, "asked to")?;
+    views[0].restart = false;
+    views[0].view.origin.x += 1e-6;
+    expect(&mut tracer, &views, 4, "moved by a micrometre")?;
+    views[0].view = views[0].view.resized([5, 3]);
+    expect(&mut tracer, &views, 4, "resized")?;
+    let image = tracer.read_image(0).map_err(text)?;
+    if image.len() != 15 {
+        return Err(format!("{} pixels of 5 × 3", image.len()));
+    }
+    Ok(())
+}
