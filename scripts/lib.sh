@@ -192,15 +192,34 @@ has_gpu() {
     compgen -G '/dev/dri/renderD*' >/dev/null || [[ -e /dev/nvidiactl || -e /dev/dxg ]]
 }
 
+has_library() { compgen -G "/usr/lib/$1" || compgen -G "/usr/lib/*/$1" || compgen -G "/usr/lib64/$1" || compgen -G "/usr/local/lib/$1"; } >/dev/null
+
+has_display() { [[ $(uname -s) == Darwin || -n ${DISPLAY:-}${WAYLAND_DISPLAY:-} ]]; }
+
+# What windows load at run time; desktops have most of it.
+need_window() {
+    [[ $(uname -s) == Linux ]] || return 0
+    local package
+    local -A libraries=(
+        [libx11-xcb1]=libX11-xcb.so.1 [libxcursor1]=libXcursor.so.1 [libxi6]=libXi.so.6
+        [libxrandr2]=libXrandr.so.2 [libxkbcommon-x11-0]=libxkbcommon-x11.so.0
+    )
+    for package in "${!libraries[@]}"; do
+        has_library "${libraries[$package]}" || need "windows load it" "$package"
+    done
+}
+
+# The display there is, or a virtual one.
+need_any_display() {
+    need_window
+    has_display || { command -v Xvfb && command -v xauth; } >/dev/null ||
+        need "virtual display: there is none to open windows on" xvfb xauth
+}
+
 # A machine with a GPU and any driver is left alone; another gets Mesa, whose llvmpipe runs on the CPU.
 need_vulkan() {
     [[ $(uname -s) == Linux ]] || return 0
-    local loader=(/usr/lib/libvulkan.so.1 /usr/lib/*/libvulkan.so.1 /usr/lib64/libvulkan.so.1 /usr/local/lib/libvulkan.so.1)
-    local found=false file
-    for file in "${loader[@]}"; do
-        [[ -e $file ]] && found=true
-    done
-    $found || need "Vulkan loader" libvulkan1
+    has_library libvulkan.so.1 || need "Vulkan loader" libvulkan1
     if [[ -z ${VK_DRIVER_FILES:-}${VK_ICD_FILENAMES:-}${VK_ADD_DRIVER_FILES:-} && -z $(vulkan_drivers 'lvp_icd*.json') ]]; then
         if ! has_gpu || [[ -z $(vulkan_drivers '*.json') ]]; then
             need "Vulkan driver; without a GPU it renders on the CPU" mesa-vulkan-drivers
