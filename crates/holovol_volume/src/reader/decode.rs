@@ -89,21 +89,11 @@ pub(super) fn read_voxels(
         cancel: &options.cancel,
     };
     let mut notices = Vec::new();
-    let voxels = match layout.number {
-        NumberType::U8 => Voxels::U8(reading.same_type(|n: u8| n)?),
-        NumberType::I8 => Voxels::I8(reading.same_type(|n: i8| n)?),
-        NumberType::U16 => Voxels::U16(reading.same_type(u16::swap_bytes)?),
-        NumberType::I16 => Voxels::I16(reading.same_type(i16::swap_bytes)?),
-        NumberType::U32 => reading.narrowed::<u32>(layout.number, &mut notices)?,
-        NumberType::I32 => reading.narrowed::<i32>(layout.number, &mut notices)?,
-        NumberType::U64 => reading.narrowed::<u64>(layout.number, &mut notices)?,
-        NumberType::I64 => reading.narrowed::<i64>(layout.number, &mut notices)?,
-        NumberType::F32 => reading.narrowed::<f32>(layout.number, &mut notices)?,
-        NumberType::F64 => reading.narrowed::<f64>(layout.number, &mut notices)?,
-    };
+    let voxels = reading.voxels(layout.number, &mut notices);
+    // First, since a change may be why it failed.
     input.check_unchanged()?;
     Ok(Decoded {
-        voxels,
+        voxels: voxels?,
         // The only thing that this function has to tell.
         rounded: !notices.is_empty(),
         notices,
@@ -138,6 +128,26 @@ struct Reading<'a, 'b> {
 }
 
 impl<'b> Reading<'_, 'b> {
+    /// All voxels, as they are kept.
+    fn voxels(
+        &mut self,
+        number: NumberType,
+        notices: &mut Vec<String>,
+    ) -> Result<Voxels, VolumeError> {
+        Ok(match number {
+            NumberType::U8 => Voxels::U8(self.same_type(|n: u8| n)?),
+            NumberType::I8 => Voxels::I8(self.same_type(|n: i8| n)?),
+            NumberType::U16 => Voxels::U16(self.same_type(u16::swap_bytes)?),
+            NumberType::I16 => Voxels::I16(self.same_type(i16::swap_bytes)?),
+            NumberType::U32 => self.narrowed::<u32>(number, notices)?,
+            NumberType::I32 => self.narrowed::<i32>(number, notices)?,
+            NumberType::U64 => self.narrowed::<u64>(number, notices)?,
+            NumberType::I64 => self.narrowed::<i64>(number, notices)?,
+            NumberType::F32 => self.narrowed::<f32>(number, notices)?,
+            NumberType::F64 => self.narrowed::<f64>(number, notices)?,
+        })
+    }
+
     /// Fills a piece of the voxels, in the machine's byte order after `swap_bytes`.
     fn fill<T: Pod>(
         &mut self,

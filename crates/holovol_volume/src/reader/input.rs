@@ -41,16 +41,27 @@ pub struct Input<'a> {
 
 /// What changes when a file is written to.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Stamp {
-    length: u64,
+pub(super) struct Stamp {
+    pub length: u64,
     modified: Option<SystemTime>,
 }
 
 impl Stamp {
-    fn of(metadata: &Metadata) -> Self {
+    pub fn of(metadata: &Metadata) -> Self {
         Self {
             length: metadata.len(),
             modified: metadata.modified().ok(),
+        }
+    }
+
+    /// Whether what now goes by this path is still the file that the stamp is of.
+    ///
+    /// # Errors
+    /// If it isn't, or is gone.
+    pub fn check(&self, path: &Path) -> Result<(), VolumeError> {
+        match std::fs::metadata(path) {
+            Ok(now) if Self::of(&now) == *self => Ok(()),
+            _ => Err(VolumeError::Changed { path: path.into() }),
         }
     }
 }
@@ -147,15 +158,15 @@ impl<'a> Input<'a> {
     /// # Errors
     /// If it isn't.
     pub(super) fn check_unchanged(&self) -> Result<(), VolumeError> {
-        let changed = self.stamp.as_ref().is_some_and(|stamp| {
-            std::fs::metadata(&self.path).map_or(true, |now| Stamp::of(&now) != *stamp)
-        });
-        if changed {
-            return Err(VolumeError::Changed {
-                path: self.path.clone(),
-            });
+        match &self.stamp {
+            Some(stamp) => stamp.check(&self.path),
+            None => Ok(()),
         }
-        Ok(())
+    }
+
+    /// The file's state when it was opened; `None` if it is none that stays, such as a pipe.
+    pub(super) fn stamp(&self) -> Option<Stamp> {
+        self.stamp.clone()
     }
 
     /// What messages call these bytes.

@@ -147,11 +147,14 @@ pub fn read(
     if let Some(layout) = &options.raw {
         return raw::read(input, layout, options, progress);
     }
+    let (path, stamp) = (input.path().to_path_buf(), input.stamp());
     let (reader, input) = find_reader(input)?;
-    let path = input.path().to_path_buf();
-    reader
-        .read(input, options, progress)
-        .map_err(|error| error.within(&path, reader.name()))
+    let volume = reader.read(input, options, progress);
+    // First, since a change may be why it failed.
+    if let Some(stamp) = stamp {
+        stamp.check(&path)?;
+    }
+    volume.map_err(|error| error.within(&path, reader.name()))
 }
 
 /// The volumes in a file or folder that [`ReadOptions::choice`] can choose from; empty where there

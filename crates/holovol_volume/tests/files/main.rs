@@ -1,6 +1,7 @@
 //! Volumes from files: every header feature, real files, and damage.
 
 mod bytes;
+mod changing;
 mod damaged;
 mod dicom;
 mod formats;

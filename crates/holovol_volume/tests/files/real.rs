@@ -209,3 +209,38 @@ fn cloud_keeps_its_tiles() {
     };
     assert_eq!(volume.dims(), [126, 86, 154]);
 }
+
+/// Real files cut off at every 61st kilobyte (nightly at every one) are errors, found soon.
+#[test]
+fn truncated_real_files_are_refused() {
+    let Some(folder) = shared_volumes() else {
+        return;
+    };
+    let nightly = std::env::var_os("HOLOVOL_NIGHTLY").is_some_and(|value| value == "1");
+    let step = if nightly { 1 << 10 } else { 61 << 10 };
+    for name in [
+        "iguana_head_microct.nii.gz",
+        "stent_aorta_ct.nrrd",
+        "wdas_cloud_sixteenth.vdb",
+        "cta_thoracic_aorta.nii.gz",
+        "mr_head_t1_seg3d.nii.gz",
+        "heptane_jet_combustion.nii.gz",
+    ] {
+        let bytes = std::fs::read(folder.join(name)).expect("a file");
+        for length in (0..bytes.len()).step_by(step) {
+            let start = std::time::Instant::now();
+            let input = holovol_volume::Input::from_bytes(Path::new(name), &bytes[..length]);
+            let options = holovol_volume::ReadOptions::default();
+            let message = match holovol_volume::read(input, &options, &mut |_| {}) {
+                Ok(_) => panic!("{length} bytes of {name} are read"),
+                Err(error) => error.to_string(),
+            };
+            assert!(
+                message.starts_with(name) && message.contains("; "),
+                "{message}"
+            );
+            let seconds = start.elapsed().as_secs_f64();
+            assert!(seconds < 5.0, "{length} bytes of {name} take {seconds} s");
+        }
+    }
+}

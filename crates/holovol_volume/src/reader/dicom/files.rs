@@ -5,9 +5,9 @@ use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::SystemTime;
 
 use crate::VolumeError;
+use crate::reader::input::Stamp;
 use crate::reader::source::Source;
 
 /// Folders deeper than this are a loop.
@@ -28,6 +28,14 @@ pub(in crate::reader) trait Files: Sync {
     /// `at_most`: no more than this is needed of it; what comes after may be missing. A second
     /// opening fails with [`VolumeError::Changed`] if the file has changed since the first.
     fn open(&self, index: usize, at_most: u64) -> Result<OpenFile<'_>, VolumeError>;
+
+    /// Whether a file is as it was when it was found. What others watch over, is.
+    ///
+    /// # Errors
+    /// [`VolumeError::Changed`] if it isn't.
+    fn check_unchanged(&self, _index: usize) -> Result<(), VolumeError> {
+        Ok(())
+    }
 }
 
 /// An opened file.
@@ -67,8 +75,7 @@ pub(super) struct FolderFiles {
 
 struct FolderFile {
     path: PathBuf,
-    length: u64,
-    modified: Option<SystemTime>,
+    stamp: Stamp,
 }
 
 impl FolderFiles {
@@ -100,11 +107,8 @@ impl FolderFiles {
                 if metadata.is_dir() {
                     folders.push((path, depth + 1));
                 } else if metadata.is_file() {
-                    files.push(FolderFile {
-                        path,
-                        length: metadata.len(),
-                        modified: metadata.modified().ok(),
-                    });
+                    let stamp = Stamp::of(&metadata);
+                    files.push(FolderFile { path, stamp });
                 }
             }
             if files.len() > FILES_MAX {
@@ -137,14 +141,21 @@ impl Files for FolderFiles {
         let error = |source| VolumeError::io(&entry.path, source);
         let file = File::open(&entry.path).map_err(error)?;
         let metadata = file.metadata().map_err(error)?;
-        if metadata.len() != entry.length || metadata.modified().ok() != entry.modified {
+        if Stamp::of(&metadata) != entry.stamp {
             return Err(VolumeError::Changed {
                 path: entry.path.clone(),
             });
         }
         Ok(OpenFile {
-            source: Source::File(Arc::new(file), entry.length),
-            length: entry.length,
+            source: Source::File(Arc::new(file), entry.stamp.length),
+            length: entry.stamp.length,
         })
+    }
+
+    fn check_unchanged(&self, index: usize) -> Result<(), VolumeError> {
+        match self.files.get(index) {
+            Some(file) => file.stamp.check(&file.path),
+            None => Ok(()),
+        }
     }
 }

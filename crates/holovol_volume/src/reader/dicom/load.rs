@@ -113,12 +113,17 @@ pub(super) fn load(
         rounded: AtomicBool::new(false),
     };
     let voxels = match kind {
-        StoredKind::U8 => Voxels::U8(loading.voxels(progress)?),
-        StoredKind::I8 => Voxels::I8(loading.voxels(progress)?),
-        StoredKind::U16 => Voxels::U16(loading.voxels(progress)?),
-        StoredKind::I16 => Voxels::I16(loading.voxels(progress)?),
-        StoredKind::F32 => Voxels::F32(loading.voxels(progress)?),
+        StoredKind::U8 => loading.voxels(progress).map(Voxels::U8),
+        StoredKind::I8 => loading.voxels(progress).map(Voxels::I8),
+        StoredKind::U16 => loading.voxels(progress).map(Voxels::U16),
+        StoredKind::I16 => loading.voxels(progress).map(Voxels::I16),
+        StoredKind::F32 => loading.voxels(progress).map(Voxels::F32),
     };
+    // First, since a change may be why it failed.
+    for image in stack.slices.iter().filter_map(image_of) {
+        files.check_unchanged(image.file)?;
+    }
+    let voxels = voxels?;
     let rounded = loading.rounded.load(Ordering::Relaxed) || fill;
 
     let (slope, intercept) = if same_scaling {

@@ -52,16 +52,7 @@ impl VolumeReader for VdbReader {
         options: &ReadOptions,
         progress: &mut dyn FnMut(Progress),
     ) -> Result<Volume, VolumeError> {
-        let file = VdbFile::open(input)?;
-        let volume = file.read(options, progress)?;
-        if let Source::File(file_now, length) = &file.source
-            && file_now
-                .metadata()
-                .is_ok_and(|metadata| metadata.len() != *length)
-        {
-            return Err(VolumeError::Changed { path: file.path });
-        }
-        Ok(volume)
+        VdbFile::open(input)?.read(options, progress)
     }
 
     fn contents(

@@ -69,7 +69,10 @@ impl<'a> Stream<'a> {
             return Err(self.error(
                 field,
                 offset.to_string(),
-                format!("an offset within the file's {} bytes", self.length),
+                format!(
+                    "an offset within the file's {} bytes; it may be cut short: get a complete copy",
+                    self.length
+                ),
             ));
         };
         self.at = at;
