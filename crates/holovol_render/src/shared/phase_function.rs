@@ -26,15 +26,15 @@ pub fn phase_eval(g: f32, wo: Vec3, wi: Vec3) -> f32 {
     let difference = wi - phase_peak(g, wo);
     let a = g.abs();
     let d = (1.0 - a) * (1.0 - a) + a * difference.dot(difference);
-    (1.0 - g * g) / (4.0 * PI) / (d * d.sqrt())
+    (1.0 - a) * (1.0 + a) / (4.0 * PI) / (d * d.sqrt())
 }
 
 /// Draws wi.
 pub fn phase_sample(g: f32, wo: Vec3, [x, y]: [f32; 2]) -> Vec3 {
     let a = g.abs();
-    let d = 1.0 + a - 2.0 * a * x;
-    let s = (1.0 - a * a) / d;
-    let one_minus_cos = ((1.0 - a) * x * (s + 1.0 - a) / d).clamp(0.0, 2.0);
+    let d = (1.0 - a) + 2.0 * a * (1.0 - x);
+    let s = (1.0 - a) * (1.0 + a) / d;
+    let one_minus_cos = ((1.0 - a) * x * (s + (1.0 - a)) / d).clamp(0.0, 2.0);
     let sin_theta = (one_minus_cos * (2.0 - one_minus_cos)).sqrt();
     let (sin_phi, cos_phi) = (TAU * y).sin_cos();
     basis_around(phase_peak(g, wo))

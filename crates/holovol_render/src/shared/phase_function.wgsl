@@ -27,17 +27,18 @@ fn phase_eval(g: f32, wo: vec3<f32>, wi: vec3<f32>) -> f32 {
     // (1 - |g|)^2 + 2 |g| (1 - cos), cos from the peak, with 1 - cos from the difference of the
     // directions: no cancellation there.
     let difference = wi - phase_peak(g, wo);
-    let d = (1.0 - abs(g)) * (1.0 - abs(g)) + abs(g) * dot(difference, difference);
-    return INV_4PI * (1.0 - g * g) / (d * sqrt(d));
+    let a = abs(g);
+    let d = (1.0 - a) * (1.0 - a) + a * dot(difference, difference);
+    return INV_4PI * (1.0 - a) * (1.0 + a) / (d * sqrt(d));
 }
 
 fn phase_sample(g: f32, wo: vec3<f32>, xi: vec2<f32>) -> vec3<f32> {
     // The usual inversion, solved for 1 - cos from the peak: nothing cancels there, nothing divides
     // by g.
     let a = abs(g);
-    let d = 1.0 + a - 2.0 * a * xi.x;
-    let s = (1.0 - a * a) / d;
-    var one_minus_cos = (1.0 - a) * xi.x * (s + 1.0 - a) / d;
+    let d = (1.0 - a) + 2.0 * a * (1.0 - xi.x);
+    let s = (1.0 - a) * (1.0 + a) / d;
+    var one_minus_cos = (1.0 - a) * xi.x * (s + (1.0 - a)) / d;
     one_minus_cos = clamp(one_minus_cos, 0.0, 2.0);
     let cos_theta = 1.0 - one_minus_cos;
     let sin_theta = sqrt(one_minus_cos * (2.0 - one_minus_cos));
