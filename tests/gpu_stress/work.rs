@@ -191,23 +191,41 @@ fn guides_and_statistics_change_no_bit() {
 
 /// Every pixel of wide, tall and odd images has its samples, none twice.
 fn images_of_any_shape_are_whole() {
-    for (width, height) in [(1, 1), (1, 300), (300, 1), (65, 7), (9, 17), (4099, 3)] {
-        let mut scene = homogeneous(1e4, 0.5);
-        scene.environment = uniform_light(0.0);
-        (scene.camera.width, scene.camera.height) = (width, height);
-        scene.camera.fov_y = 1e-6;
-        let image = picture(&scene, &options(), 3);
-        let is_whole = |pixel: &[f32; 4]| (pixel[3] - 1.0).abs() < 1e-5;
-        let missing = image
-            .pixels()
-            .iter()
-            .filter(|pixel| !is_whole(pixel))
-            .count();
-        assert_eq!(
-            missing,
-            0,
-            "{width} × {height}: {:?}",
-            mean_and_deviation(&image)[3]
-        );
+    let shapes = [(1, 1), (1, 300), (300, 1), (65, 7), (9, 17), (4099, 3)];
+    for (width, height) in shapes {
+        assert_whole(width, height, &options(), 3);
     }
+    // More than 128 MiB of sums, and of guides: all that some devices bind at once.
+    assert_whole(2500, 1700, &options(), 1);
+    let with_guides = TraceOptions {
+        guides: true,
+        ..options()
+    };
+    assert_whole(1700, 1700, &with_guides, 1);
+}
+
+fn assert_whole(width: u32, height: u32, options: &TraceOptions, samples: u32) {
+    let mut scene = homogeneous(1e4, 0.5);
+    scene.environment = uniform_light(0.0);
+    (scene.camera.width, scene.camera.height) = (width, height);
+    scene.camera.fov_y = 1e-6;
+    let mut tracer = tracer(&scene, options);
+    tracer.accumulate(samples).expect("samples");
+    let image = image(&tracer);
+    // A sample more or less is a third at least; roulette leaves a little noise.
+    let is_whole = |pixel: &[f32; 4]| (pixel[3] - 1.0).abs() < 0.1;
+    let missing = image
+        .pixels()
+        .iter()
+        .filter(|pixel| !is_whole(pixel))
+        .count();
+    assert_eq!(
+        missing,
+        0,
+        "{width} × {height}: {:?}",
+        mean_and_deviation(&image)[3]
+    );
+    let guides = tracer.read_guides().expect("guides");
+    let is_seen = |guide: &holovol_render::Guide| (guide.opacity - 1.0).abs() < 0.1;
+    assert!(guides.iter().all(is_seen), "{width} × {height}: guides");
 }

@@ -32,9 +32,17 @@ pub(crate) fn texture_2d(filterable: bool) -> BindingType {
     texture(TextureViewDimension::D2, filterable)
 }
 
+pub(crate) fn texture_2d_uint() -> BindingType {
+    sampled(TextureViewDimension::D2, TextureSampleType::Uint)
+}
+
 fn texture(view_dimension: TextureViewDimension, filterable: bool) -> BindingType {
+    sampled(view_dimension, TextureSampleType::Float { filterable })
+}
+
+fn sampled(view_dimension: TextureViewDimension, sample_type: TextureSampleType) -> BindingType {
     BindingType::Texture {
-        sample_type: TextureSampleType::Float { filterable },
+        sample_type,
         view_dimension,
         multisampled: false,
     }

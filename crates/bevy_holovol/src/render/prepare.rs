@@ -146,7 +146,7 @@ impl FromWorld for VolumeGpu {
         let info: &wgpu::AdapterInfo = &world.resource::<RenderAdapterInfo>().0;
         let limits = device.limits();
         /// As many does the tracer bind.
-        const STORAGE_BUFFERS: u32 = 8;
+        const STORAGE_BUFFERS: u32 = 7;
         if limits.max_storage_buffers_per_shader_stage < STORAGE_BUFFERS {
             warn!(
                 "volumes are not drawn: this device binds {} storage buffers to a shader, {} are \

@@ -30,8 +30,8 @@ pub use view::{FrameImage, FrameWork, ViewFrame};
 
 use crate::depth::MeshDepth;
 use crate::trace::{
-    Buffers, DispatchUniform, GpuCounters, QUEUE_CAPACITY, Surroundings, ViewUniform, check_medium,
-    kernel_seed, layout, shader_defs,
+    Buffers, DispatchUniform, GpuCounters, PIXEL_BYTES, QUEUE_CAPACITY, Surroundings, ViewUniform,
+    check_medium, kernel_seed, layout, shader_defs,
 };
 use crate::{
     Counters, Gpu, GpuEnvironment, GpuVolume, MAX_VIEWS, MajorantGrid, Medium, RenderError,
@@ -182,14 +182,14 @@ impl FrameTracer {
         let limit = limits
             .max_storage_buffer_binding_size
             .min(limits.max_buffer_size);
-        if rooms.len() > MAX_VIEWS || 32 * total > limit {
+        if rooms.len() > MAX_VIEWS || PIXEL_BYTES * total > limit {
             return Err(RenderError::Scene {
                 field: "camera",
                 reason: format!(
                     "{} views of {total} pixels in all: this device takes at most {MAX_VIEWS} \
                      views and {} pixels; lower the resolution scale",
                     rooms.len(),
-                    limit / 32
+                    limit / PIXEL_BYTES
                 ),
             });
         }
@@ -312,7 +312,7 @@ impl FrameTracer {
         );
         let is_new = slot.view != Some(frame.view) || slot.mesh_depth != frame.mesh_depth;
         if frame.restart || is_new {
-            let pixel = 32u64;
+            let pixel = PIXEL_BYTES;
             encoder.clear_buffer(
                 &self.buffers.accumulators,
                 pixel * u64::from(slot.first_pixel),
@@ -351,6 +351,7 @@ impl FrameTracer {
                 &self.majorants,
                 &self.environment,
                 mesh_depth,
+                0..self.buffers.pixels(),
             )?);
         }
         Ok(())

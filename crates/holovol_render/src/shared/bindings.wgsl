@@ -107,7 +107,8 @@ struct SavedPath {
 @group(0) @binding(5) var<storage, read> occupied: Occupied;
 @group(0) @binding(6) var<storage, read> transfer_points: array<TransferPoint>;
 @group(0) @binding(7) var environment_texture: texture_2d<f32>;
-@group(0) @binding(8) var<storage, read> environment_alias: array<vec2<u32>>;
+// Per patch: threshold (bits of an f32), and which patch it goes to above that; in rows of the map.
+@group(0) @binding(8) var environment_alias: texture_2d<u32>;
 // Two sums per pixel: of the last FOLD_SAMPLES, and of those before.
 @group(0) @binding(9) var<storage, read_write> accumulators: array<vec4<f32>>;
 @group(0) @binding(10) var<storage, read_write> counters: Counters;

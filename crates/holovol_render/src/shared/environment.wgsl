@@ -91,7 +91,8 @@ fn environment_sample(bits: u32, xi: vec3<f32>) -> LightSample {
     let size = vec2<i32>(scene.environment_size.xy);
     let patches = u32(size.x) * u32(size.y + 1);
     var entry = multiply_high(bits, patches);
-    let alias_entry = environment_alias[entry];
+    let place = vec2<u32>(entry % u32(size.x), entry / u32(size.x));
+    let alias_entry = textureLoad(environment_alias, place, 0).xy;
     if xi.x >= bitcast<f32>(alias_entry.x) {
         entry = alias_entry.y;
     }

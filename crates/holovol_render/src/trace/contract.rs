@@ -73,7 +73,7 @@ impl Contract {
             ..DispatchUniform::zeroed()
         };
         let groups = (inputs.len() as u32).div_ceil(WORKGROUP_SIZE);
-        tracer.submit(&uniform, &pipeline, 0, [groups, 1])?;
+        tracer.submit(&uniform, &pipeline, (0, 0), [groups, 1])?;
         let bytes = self.gpu.read_buffer(
             "outputs",
             &tracer.resources.guides,

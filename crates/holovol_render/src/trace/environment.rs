@@ -6,7 +6,9 @@ use crate::{Gpu, RenderError};
 /// An environment map in the device's memory, with the table that light is drawn from.
 pub struct GpuEnvironment {
     pub(super) view: wgpu::TextureView,
-    pub(super) alias: wgpu::Buffer,
+    /// A texture: buffers that a shader may bind end at 128 MiB on some devices, an 8K map's table
+    /// doesn't.
+    pub(super) alias: wgpu::TextureView,
     size: [u32; 2],
     constant: Option<[f32; 3]>,
     /// 1 / integral of importance; `None` if nothing can be drawn: a constant or a black map.
@@ -26,11 +28,14 @@ impl GpuEnvironment {
             (map.width() as u32, map.height() as u32)
         };
         let limit = gpu.device.limits().max_texture_dimension_2d;
-        if width > limit || height > limit {
+        // The table has a row more than the map.
+        if width > limit || height >= limit {
             return Err(RenderError::Scene {
                 field: "environment",
                 reason: format!(
-                    "map of {width} × {height}: this device holds at most {limit} a side"
+                    "map of {width} × {height}: this device holds at most {limit} × {}; make it \
+                     smaller",
+                    limit - 1
                 ),
             });
         }
@@ -46,7 +51,7 @@ impl GpuEnvironment {
                     .map(|entry| [entry.threshold.to_bits(), entry.alias])
                     .collect()
             }
-            None => vec![[0, 0]],
+            None => vec![[0, 0]; width as usize * (height as usize + 1)],
         };
         let texels: Vec<[f32; 4]> = map.texels()[..width as usize * height as usize]
             .iter()
@@ -54,31 +59,42 @@ impl GpuEnvironment {
             .collect();
         let bytes = 16 * texels.len() as u64 + 8 * alias.len() as u64;
         let (view, alias) = gpu.scoped("the environment", bytes, || {
-            let texture = gpu.device.create_texture_with_data(
-                &gpu.queue,
-                &wgpu::TextureDescriptor {
-                    label: Some("holovol environment"),
-                    size: wgpu::Extent3d {
-                        width,
-                        height,
-                        depth_or_array_layers: 1,
+            let texture = |label, height, format, data| {
+                let texture = gpu.device.create_texture_with_data(
+                    &gpu.queue,
+                    &wgpu::TextureDescriptor {
+                        label: Some(label),
+                        size: wgpu::Extent3d {
+                            width,
+                            height,
+                            depth_or_array_layers: 1,
+                        },
+                        mip_level_count: 1,
+                        sample_count: 1,
+                        dimension: wgpu::TextureDimension::D2,
+                        format,
+                        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+                        view_formats: &[],
                     },
-                    mip_level_count: 1,
-                    sample_count: 1,
-                    dimension: wgpu::TextureDimension::D2,
-                    format: wgpu::TextureFormat::Rgba32Float,
-                    usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
-                    view_formats: &[],
-                },
-                wgpu::util::TextureDataOrder::LayerMajor,
-                bytemuck::cast_slice(&texels),
-            );
-            let alias = gpu.filled(
-                "holovol light",
-                bytemuck::cast_slice(&alias),
-                wgpu::BufferUsages::STORAGE,
-            );
-            (texture.create_view(&Default::default()), alias)
+                    wgpu::util::TextureDataOrder::LayerMajor,
+                    data,
+                );
+                texture.create_view(&Default::default())
+            };
+            (
+                texture(
+                    "holovol environment",
+                    height,
+                    wgpu::TextureFormat::Rgba32Float,
+                    bytemuck::cast_slice(&texels),
+                ),
+                texture(
+                    "holovol light",
+                    height + 1,
+                    wgpu::TextureFormat::Rg32Uint,
+                    bytemuck::cast_slice(&alias),
+                ),
+            )
         })?;
         Ok(Self {
             view,

@@ -5,6 +5,7 @@
 //! [`Tracer::read_image`] gives the mean so far. The estimator is unbiased: RMSE falls as
 //! 1/√samples without a floor. Paths that outlive a dispatch go on in the next one.
 
+mod bands;
 mod check;
 pub(crate) use check::medium as check_medium;
 #[cfg(any(test, feature = "testing"))]
@@ -18,18 +19,20 @@ pub(crate) mod uniforms;
 mod variant;
 mod view;
 
+use std::ops::Range;
 use std::time::Instant;
 
 use bytemuck::{Pod, Zeroable};
 use holovol_scene::Scene;
 use holovol_volume::CELL_SIZE;
 
+use self::bands::{Band, rows_of_bands};
 use crate::fetch::FETCH;
 use crate::shader::ShaderDefs;
 use crate::{Gpu, GpuVolume, MajorantGrid, RenderError};
 pub use environment::GpuEnvironment;
 pub use medium::Medium;
-pub(crate) use resources::{Buffers, layout};
+pub(crate) use resources::{Buffers, GUIDE_BYTES, PIXEL_BYTES, layout};
 pub use uniforms::MAX_VIEWS;
 pub(crate) use uniforms::{DispatchUniform, ViewUniform, kernel_seed};
 use variant::PICKS;
@@ -163,7 +166,7 @@ pub struct Tracer {
     volume: GpuVolume,
     layout: wgpu::BindGroupLayout,
     resources: Buffers,
-    bind_groups: [wgpu::BindGroup; 2],
+    bands: Vec<Band>,
     view: ViewUniform,
     defs: ShaderDefs,
     trace_pipeline: wgpu::ComputePipeline,
@@ -198,12 +201,28 @@ impl Tracer {
         let s_from_texel = volume.s_from_texel(medium.window);
         majorants.update(gpu, &medium.transfer_function, s_from_texel)?;
         let environment = GpuEnvironment::new(gpu, &scene.environment.map)?;
-        let pixels = u64::from(scene.camera.width) * u64::from(scene.camera.height);
+        let image_size = [scene.camera.width, scene.camera.height];
+        let [width, height] = image_size.map(u64::from);
         let layout = layout(gpu, options.interpolation, volume.slices)?;
-        let mut resources = Buffers::new(gpu, pixels, options)?;
+        let mut resources = Buffers::new(gpu, width * height, options)?;
         resources.set_medium(gpu, &medium, &volume, &majorants, &environment)?;
-        let bind_groups =
-            resources.bind_groups(gpu, &layout, &volume, &majorants, &environment, None)?;
+        let limit = gpu.device.limits().max_storage_buffer_binding_size;
+        let bands = rows_of_bands(image_size, limit, options.guides)
+            .map(|rows| {
+                let [start, end] = [rows.start, rows.end].map(|y| u64::from(y) * width);
+                let (majorants, light) = (&majorants, &environment);
+                let bind_groups = resources.bind_groups(
+                    gpu,
+                    &layout,
+                    &volume,
+                    majorants,
+                    light,
+                    None,
+                    start..end,
+                )?;
+                Ok(Band { rows, bind_groups })
+            })
+            .collect::<Result<_, RenderError>>()?;
         let surroundings = Surroundings {
             constant_environment: environment.is_constant(),
             has_density: environment.has_density(),
@@ -219,12 +238,12 @@ impl Tracer {
             volume,
             layout,
             resources,
-            bind_groups,
+            bands,
             defs,
             trace_pipeline,
             resume_pipeline: None,
             counters: Counters::default(),
-            image_size: [scene.camera.width, scene.camera.height],
+            image_size,
             options: options.clone(),
             samples: 0,
             samples_per_dispatch: 65536.0,
@@ -236,7 +255,7 @@ impl Tracer {
             },
         };
         // Some drivers compile at the first dispatch: an empty one, so that no sample waits for it.
-        tracer.trace_tile([0, 0], [0, 0], [0, 0])?;
+        tracer.trace_tile(0, 0..0, [0, 0])?;
         Ok(tracer)
     }
 
@@ -255,10 +274,18 @@ impl Tracer {
             let batch = batch.clamp(1, (end - self.samples).min(SAMPLES_PER_LANE));
             let rows = (self.samples_per_dispatch / f64::from(width * batch)) as u32;
             let rows = rows.next_multiple_of(8).clamp(8, height.max(8));
-            for y in (0..height).step_by(rows as usize) {
+            let tiles: Vec<_> = (0..self.bands.len())
+                .flat_map(|band| {
+                    let in_band = self.bands[band].rows.clone();
+                    let end = in_band.end;
+                    in_band
+                        .step_by(rows as usize)
+                        .map(move |y| (band, y..end.min(y + rows)))
+                })
+                .collect();
+            for (band, tile) in tiles {
                 let started = Instant::now();
-                let tile_size = [width, rows.min(height - y)];
-                self.trace_tile([0, y], tile_size, [self.samples, self.samples + batch])?;
+                self.trace_tile(band, tile, [self.samples, self.samples + batch])?;
                 let seconds = started.elapsed().as_secs_f64();
                 let change = (self.dispatch_seconds / seconds.max(1e-6)).clamp(0.5, 2.0);
                 self.samples_per_dispatch = (self.samples_per_dispatch * change).clamp(4096.0, 1e8);
@@ -356,35 +383,40 @@ impl Tracer {
         &self.volume
     }
 
-    /// Traces samples [start, end) of a tile, and of its saved paths until none is left.
+    /// Traces samples [start, end) of some rows of a band, and of their saved paths until none is
+    /// left.
     fn trace_tile(
         &mut self,
-        tile_origin: [u32; 2],
-        tile_size: [u32; 2],
+        band: usize,
+        rows: Range<u32>,
         [sample_start, sample_end]: [u32; 2],
     ) -> Result<(), RenderError> {
+        let width = self.image_size[0];
+        let tile_size = [width, rows.end - rows.start];
         let mut uniform = DispatchUniform {
-            tile_origin,
+            tile_origin: [0, rows.start],
             tile_size,
             seed: 0,
             budget: self.options.budget,
             resumed_paths: 0,
             queue_capacity: QUEUE_CAPACITY,
         };
+        // Where the image would begin, counted from the band's first pixel; may be before it.
+        self.view.image[2] = 0u32.wrapping_sub(self.bands[band].rows.start.wrapping_mul(width));
         self.view.image[3] = kernel_seed(self.options.seed);
         self.view.samples = [sample_start, sample_end, 0, 0];
         let view = bytemuck::bytes_of(&self.view);
         self.gpu.queue.write_buffer(&self.resources.views, 0, view);
         let groups = tile_size.map(|n| n.div_ceil(8).max(1));
         let pipeline = self.trace_pipeline.clone();
-        let mut saved = self.submit(&uniform, &pipeline, 0, groups)?;
+        let mut saved = self.submit(&uniform, &pipeline, (band, 0), groups)?;
         let mut queue = 1;
         while saved > 0 {
             self.counters.continued_paths += u64::from(saved);
             uniform.resumed_paths = saved;
             let groups = [saved.div_ceil(WORKGROUP_SIZE), 1];
             let pipeline = self.resume_pipeline()?;
-            saved = self.submit(&uniform, &pipeline, queue, groups)?;
+            saved = self.submit(&uniform, &pipeline, (band, queue), groups)?;
             queue = 1 - queue;
         }
         Ok(())
@@ -404,7 +436,7 @@ impl Tracer {
         &mut self,
         uniform: &DispatchUniform,
         pipeline: &wgpu::ComputePipeline,
-        queue: usize,
+        (band, queue): (usize, usize),
         [x, y]: [u32; 2],
     ) -> Result<u32, RenderError> {
         let gpu = &self.gpu;
@@ -418,7 +450,7 @@ impl Tracer {
                 timestamp_writes: None,
             });
             pass.set_pipeline(pipeline);
-            pass.set_bind_group(0, &self.bind_groups[queue], &[]);
+            pass.set_bind_group(0, &self.bands[band].bind_groups[queue], &[]);
             pass.dispatch_workgroups(x, y, 1);
             drop(pass);
             gpu.queue.submit([encoder.finish()]);
@@ -448,9 +480,9 @@ impl Tracer {
         let layout = &self.layout;
         let pipeline = self.gpu.pipeline(&FETCH, &self.defs, "fetch", layout)?;
         // The first dispatch may compile.
-        self.submit(&DispatchUniform::zeroed(), &pipeline, 0, [1, 1])?;
+        self.submit(&DispatchUniform::zeroed(), &pipeline, (0, 0), [1, 1])?;
         let started = Instant::now();
-        self.submit(&uniform, &pipeline, 0, [groups, 1])?;
+        self.submit(&uniform, &pipeline, (0, 0), [groups, 1])?;
         let lookups = f64::from(groups * WORKGROUP_SIZE) * f64::from(lookups_per_lane);
         Ok(lookups / started.elapsed().as_secs_f64())
     }

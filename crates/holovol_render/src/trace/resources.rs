@@ -1,13 +1,21 @@
 //! What the kernel is bound to: buffers, textures and the groups that hold them.
 
+use std::num::NonZero;
+use std::ops::Range;
+
 use wgpu::BufferUsages as Usage;
 
 use super::environment::GpuEnvironment;
 use super::uniforms::{DispatchUniform, MAX_VIEWS, SceneUniform, ViewUniform, transfer_points};
 use super::variant::{QUEUE_CAPACITY, SAVED_PATH_VECTORS};
 use super::{GpuCounters, Interpolation, Medium, TraceOptions};
-use crate::layout::{storage, texture_2d, texture_2d_array, texture_3d, uniform};
+use crate::layout::{storage, texture_2d, texture_2d_array, texture_2d_uint, texture_3d, uniform};
 use crate::{Gpu, GpuVolume, MajorantGrid, RenderError};
+
+/// Two sums of four channels.
+pub(crate) const PIXEL_BYTES: u64 = 32;
+/// Three vectors, see [`super::Guide`].
+pub(crate) const GUIDE_BYTES: u64 = 48;
 
 /// What is bound besides the volume and the environment.
 pub(crate) struct Buffers {
@@ -17,6 +25,7 @@ pub(crate) struct Buffers {
     pub(crate) points: wgpu::Buffer,
     pub(crate) accumulators: wgpu::Buffer,
     pub(crate) guides: wgpu::Buffer,
+    has_guides: bool,
     pub(crate) counters: wgpu::Buffer,
     queues: [wgpu::Buffer; 2],
     field_sampler: wgpu::Sampler,
@@ -29,8 +38,20 @@ impl Buffers {
     pub(crate) fn new(gpu: &Gpu, pixels: u64, options: &TraceOptions) -> Result<Self, RenderError> {
         let pixels = pixels.max(1);
         let queue = u64::from(QUEUE_CAPACITY) * u64::from(SAVED_PATH_VECTORS + options.picks) * 16;
-        let guide_bytes = if options.guides { 48 * pixels } else { 48 };
-        let bytes = 32 * pixels + 2 * queue + guide_bytes;
+        let guide_bytes = GUIDE_BYTES * if options.guides { pixels } else { 1 };
+        let image_bytes = PIXEL_BYTES * pixels;
+        let limit = gpu.device.limits().max_buffer_size;
+        if image_bytes.max(guide_bytes) > limit {
+            let per_pixel = image_bytes.max(guide_bytes) / pixels;
+            return Err(RenderError::Scene {
+                field: "camera",
+                reason: format!(
+                    "an image of {pixels} pixels: this device holds at most {}; make it smaller",
+                    limit / per_pixel
+                ),
+            });
+        }
+        let bytes = image_bytes + 2 * queue + guide_bytes;
         gpu.scoped("the image", bytes, || {
             let written = Usage::UNIFORM | Usage::COPY_DST;
             let readable = Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST;
@@ -58,8 +79,9 @@ impl Buffers {
                 ),
                 views: gpu.empty("holovol views", views, written),
                 points: gpu.empty("holovol points", 48, Usage::STORAGE),
-                accumulators: gpu.empty("holovol image", 32 * pixels, readable),
+                accumulators: gpu.empty("holovol image", image_bytes, readable),
                 guides: gpu.empty("holovol guides", guide_bytes, readable),
+                has_guides: options.guides,
                 counters: gpu.empty(
                     "holovol counters",
                     size_of::<GpuCounters>() as u64,
@@ -78,6 +100,11 @@ impl Buffers {
                 }),
             }
         })
+    }
+
+    /// How many pixels there is room for.
+    pub(crate) fn pixels(&self) -> u64 {
+        self.accumulators.size() / PIXEL_BYTES
     }
 
     /// Writes what a medium says; its points take another buffer.
@@ -100,7 +127,9 @@ impl Buffers {
         Ok(())
     }
 
-    /// Two groups, that differ in which path queue is read and which is written.
+    /// Two groups, that differ in which path queue is read and which is written. Of the image and
+    /// the guides they hold `pixels`.
+    #[expect(clippy::too_many_arguments, reason = "all that the kernel is bound to")]
     pub(crate) fn bind_groups(
         &self,
         gpu: &Gpu,
@@ -109,7 +138,19 @@ impl Buffers {
         majorants: &MajorantGrid,
         environment: &GpuEnvironment,
         mesh_depth: Option<&wgpu::TextureView>,
+        pixels: Range<u64>,
     ) -> Result<[wgpu::BindGroup; 2], RenderError> {
+        let part = |buffer, bytes_per_pixel| {
+            wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                buffer,
+                offset: bytes_per_pixel * pixels.start,
+                size: NonZero::new(bytes_per_pixel * (pixels.end - pixels.start)),
+            })
+        };
+        let guides = || match self.has_guides {
+            true => part(&self.guides, GUIDE_BYTES),
+            false => self.guides.as_entire_binding(),
+        };
         let mesh_depth = mesh_depth.unwrap_or(&self.no_mesh_depth);
         gpu.scoped("the image", 0, || {
             [[0, 1], [1, 0]].map(|[resumed, saved]: [usize; 2]| {
@@ -122,12 +163,12 @@ impl Buffers {
                     majorants.occupied.as_entire_binding(),
                     self.points.as_entire_binding(),
                     wgpu::BindingResource::TextureView(&environment.view),
-                    environment.alias.as_entire_binding(),
-                    self.accumulators.as_entire_binding(),
+                    wgpu::BindingResource::TextureView(&environment.alias),
+                    part(&self.accumulators, PIXEL_BYTES),
                     self.counters.as_entire_binding(),
                     self.queues[resumed].as_entire_binding(),
                     self.queues[saved].as_entire_binding(),
-                    self.guides.as_entire_binding(),
+                    guides(),
                     self.views.as_entire_binding(),
                     wgpu::BindingResource::TextureView(mesh_depth),
                 ];
@@ -161,7 +202,7 @@ pub(crate) fn layout(
         storage(true),
         storage(true),
         texture_2d(false),
-        storage(true),
+        texture_2d_uint(),
         storage(false),
         storage(false),
         storage(true),
