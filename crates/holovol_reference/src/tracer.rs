@@ -121,9 +121,13 @@ pub struct Tracer<'a> {
     texel_from_world: DMat4,
     min_spacing: f64,
     emits: bool,
+    camera_ray_end: Option<CameraRayEnd<'a>>,
     #[cfg(test)]
     pub(crate) fault: crate::tests::Fault,
 }
+
+/// Metres along the camera's ray of a direction (world, unit length) to something opaque.
+type CameraRayEnd<'a> = Box<dyn Fn(DVec3) -> f64 + Sync + 'a>;
 
 /// What the environment needs.
 enum Light {
@@ -178,9 +182,18 @@ impl<'a> Tracer<'a> {
             texel_from_world,
             min_spacing: scene.min_spacing(),
             emits: points.iter().any(|p| p.emission.iter().any(|&c| c > 0.0)),
+            camera_ray_end: None,
             #[cfg(test)]
             fault: crate::tests::Fault::None,
         })
+    }
+
+    /// Ends camera rays at something opaque and black: `end` tells how many metres along a
+    /// direction (world, unit length) it is away, infinity for never. What lies behind is not in
+    /// the picture, nor in its opacity; no light is kept from the volume.
+    pub fn with_camera_ray_end(mut self, end: impl Fn(DVec3) -> f64 + Sync + 'a) -> Self {
+        self.camera_ray_end = Some(Box::new(end));
+        self
     }
 
     /// An empty film of the camera's size.
@@ -238,6 +251,13 @@ impl<'a> Tracer<'a> {
         let Some(mut vertex) = self.medium.free_flight(field, origin, direction, rng) else {
             return [0.0; 4];
         };
+        if let Some(end) = &self.camera_ray_end {
+            let step = self.medium.texel_from_direction * direction;
+            let way = (vertex.texel - origin).dot(step) / step.length_squared();
+            if way > end(direction) {
+                return [0.0; 4];
+            }
+        }
 
         let mut radiance = DVec3::ZERO;
         let mut throughput = DVec3::ONE;

@@ -28,8 +28,14 @@ pub fn app() -> App {
 
 /// The same with other plugins of ours.
 pub fn app_with<M>(plugins: impl Plugins<M>) -> App {
+    app_on(AssetPlugin::default(), plugins)
+}
+
+/// The same with assets from elsewhere.
+pub fn app_on<M>(files: AssetPlugin, plugins: impl Plugins<M>) -> App {
     let mut app = App::new();
     app.add_plugins((DefaultPlugins
+        .set(files)
         .set(WindowPlugin {
             primary_window: None,
             exit_condition: ExitCondition::DontExit,

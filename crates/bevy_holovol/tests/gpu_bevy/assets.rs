@@ -21,6 +21,10 @@ pub const TESTS: &[crate::Test] = &[
         a_volume_that_is_replaced_is_shown,
     ),
     (
+        "transfer_functions_are_loaded_again_when_they_change",
+        transfer_functions_are_loaded_again,
+    ),
+    (
         "an_impossible_medium_is_reported",
         an_impossible_medium_is_reported,
     ),
@@ -120,6 +124,52 @@ fn a_volume_that_is_replaced_is_shown() {
     finish(&mut app);
     let seen = read(&mut app, &target).mean([10, 10, 14, 14]).x;
     assert_near("2 m of it", seen, (-2f32).exp(), 0.01);
+}
+
+/// As an editor saves it: another file takes the old one's name.
+fn transfer_functions_are_loaded_again() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |sigma_t: f64| {
+        let text = format!(
+            r#"{{"version": 1, "points": [{{"s": 0, "sigma_t": {sigma_t}, "albedo": [0, 0, 0]}}]}}"#
+        );
+        let beside = folder.path().join("beside");
+        std::fs::write(&beside, text).expect("written");
+        std::fs::rename(beside, folder.path().join("matter.tf.json")).expect("renamed");
+    };
+    write(1.0);
+    let files = AssetPlugin {
+        file_path: folder.path().to_string_lossy().into_owned(),
+        watch_for_changes_override: Some(true),
+        ..default()
+    };
+    let mut app = app_on(files, HolovolPlugins);
+    app.insert_resource(ClearColor(Color::WHITE));
+    let material = app
+        .world()
+        .resource::<AssetServer>()
+        .load::<TransferFunctionAsset>("matter.tf.json");
+    let volume = spawn_volume(&mut app, solid(Vec3::ONE), matter(5.0, 0.0));
+    app.world_mut()
+        .entity_mut(volume)
+        .insert(VolumeMaterial3d(material));
+    let target = target(&mut app, 24, 24);
+    spawn_camera(&mut app, &target, 4.0, settings(64));
+    for sigma_t in [1.0f32, 2.0, 0.5] {
+        write(f64::from(sigma_t));
+        let expected = (-sigma_t).exp();
+        let mut seen = f32::NAN;
+        // The watcher waits a moment for further changes.
+        for _ in 0..200 {
+            finish(&mut app);
+            seen = read(&mut app, &target).mean([10, 10, 14, 14]).x;
+            if (seen - expected).abs() < 0.01 {
+                break;
+            }
+            std::thread::sleep(std::time::Duration::from_millis(50));
+        }
+        assert_near("1 m of what the file says", seen, expected, 0.01);
+    }
 }
 
 fn an_impossible_medium_is_reported() {

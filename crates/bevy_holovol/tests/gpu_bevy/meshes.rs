@@ -3,8 +3,11 @@
 use bevy::camera::Viewport;
 use bevy::prelude::*;
 use bevy_holovol::prelude::*;
+use glam::DVec3;
+use holovol_reference::{Settings, Tracer};
 
 use crate::app::*;
+use crate::scenes::{reference_scene_files, small_scene_files, stage};
 
 pub const TESTS: &[crate::Test] = &[
     (
@@ -18,6 +21,10 @@ pub const TESTS: &[crate::Test] = &[
     (
         "edges_of_meshes_are_smooth_with_msaa",
         edges_of_meshes_are_smooth_with_msaa,
+    ),
+    (
+        "a_mesh_inside_a_scan_equals_the_reference",
+        a_mesh_inside_a_scan_equals_the_reference,
     ),
 ];
 
@@ -183,4 +190,113 @@ fn edges_of_meshes_are_smooth_with_msaa() {
     for (a, b) in with.pixels.iter().zip(&without.pixels) {
         assert_near("a pixel of the edge", a[0], b[0], 2e-3);
     }
+}
+
+/// A tilted square across the middle of scans: radiance of what is before it, pixel by pixel,
+/// against the f64 tracer with the same square.
+fn a_mesh_inside_a_scan_equals_the_reference() {
+    let mut files = small_scene_files();
+    files.extend(reference_scene_files());
+    let inside_of = |path: &std::path::Path| path.ends_with("inside.json");
+    files.retain(|path| !inside_of(path));
+    for file in files {
+        compare_with_square(&file);
+    }
+}
+
+fn compare_with_square(path: &std::path::Path) {
+    const SIZE: u32 = 32;
+    const SAMPLES: u32 = 256;
+    let mut scene = holovol_scene::load(path, &mut |_| {}).expect("a scene file");
+    (scene.camera.width, scene.camera.height) = (SIZE, SIZE);
+    let camera = scene.camera.clone();
+    let [right, up, _] = camera.axes();
+    let middle = scene
+        .world_from_unit_cube
+        .transform_point3(DVec3::splat(0.5));
+    let diagonal = scene.world_from_unit_cube.transform_vector3(DVec3::ONE);
+    let side = 0.5 * diagonal.length();
+    // Turned away from the camera by half a radian.
+    let towards = (camera.eye - middle).normalize();
+    let normal = (towards + 0.5 * up).normalize();
+    let tangent = right.cross(normal).normalize();
+    let [across, along] = [normal.cross(tangent), tangent];
+    let distance = |direction: DVec3| {
+        let way = (middle - camera.eye).dot(normal) / direction.dot(normal);
+        let at = camera.eye + way * direction - middle;
+        let is_hit =
+            way > 0.0 && at.dot(across).abs() < 0.5 * side && at.dot(along).abs() < 0.5 * side;
+        if is_hit { way } else { f64::INFINITY }
+    };
+    let rays = camera.pixel_rays(glam::DMat4::IDENTITY);
+    let ray = |x: f64, y: f64| {
+        (rays.direction + x * rays.direction_dx + y * rays.direction_dy).normalize()
+    };
+
+    let settings = Settings {
+        spp: SAMPLES,
+        ..default()
+    };
+    let tracer = Tracer::new(&scene, &settings)
+        .expect("a scene")
+        .with_camera_ray_end(distance);
+    let mut film = tracer.film();
+    tracer.accumulate(&mut film, SAMPLES);
+    let truth: Vec<_> = film.means().zip(film.variances()).collect();
+    drop(tracer);
+
+    let (mut app, target) = stage(scene, SAMPLES);
+    let mesh = app
+        .world_mut()
+        .resource_mut::<Assets<Mesh>>()
+        .add(Rectangle::new(side as f32, side as f32));
+    let material = app
+        .world_mut()
+        .resource_mut::<Assets<StandardMaterial>>()
+        .add(StandardMaterial {
+            base_color: Color::BLACK,
+            unlit: true,
+            double_sided: true,
+            cull_mode: None,
+            ..default()
+        });
+    let rotation = glam::DMat3::from_cols(across, along, across.cross(along));
+    let place = Transform {
+        translation: middle.as_vec3(),
+        rotation: glam::DQuat::from_mat3(&rotation).as_quat(),
+        scale: Vec3::ONE,
+    };
+    app.world_mut()
+        .spawn((Mesh3d(mesh), MeshMaterial3d(material), place));
+    finish(&mut app);
+    assert!(statistics(&app).depth_passes > 0, "the mesh is inside");
+    let picture = read(&mut app, &target);
+
+    // Squares of deviations over their variances, where the square's edge is not in the pixel.
+    let (mut chi_square, mut count, mut behind) = (0.0, 0, 0);
+    let (mut sum, mut true_sum) = (0.0, 0.0);
+    for (index, ((mean, variance), found)) in truth.iter().zip(&picture.pixels).enumerate() {
+        let corner = [index as u32 % SIZE, index as u32 / SIZE].map(f64::from);
+        let hits = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
+            .map(|[x, y]| distance(ray(corner[0] + x, corner[1] + y)).is_finite());
+        if hits != [hits[0]; 4] {
+            continue;
+        }
+        behind += usize::from(hits[0]);
+        for c in 0..3 {
+            let (found, mean) = (f64::from(found[c]), mean[c]);
+            sum += found;
+            true_sum += mean;
+            // Both have about this variance; where no sample met anything, that of one that did.
+            let floor = (2e-3 * mean + 1e-4 / f64::from(SAMPLES)).powi(2);
+            chi_square += (found - mean).powi(2) / (2.0 * variance[c] + floor);
+            count += 1;
+        }
+    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let (spread, drift) = (chi_square / f64::from(count), sum / true_sum - 1.0);
+    eprintln!("{name}: {behind} pixels of the square, spread {spread:.3}, mean off by {drift:.2e}");
+    assert!(behind > 20, "{name}: the square is seen");
+    assert!(spread < 1.6, "{name}: deviations are {spread} times noise");
+    assert!(drift.abs() < 0.03, "{name}: mean off by {drift}");
 }

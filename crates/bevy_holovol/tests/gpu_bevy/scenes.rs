@@ -46,7 +46,8 @@ fn offline(gpu: &Gpu, scene: &Scene, seed: u64, samples: u32) -> Vec<[f32; 4]> {
     tracer.read_image().expect("an image")
 }
 
-fn in_bevy(scene: Scene) -> Vec<[f32; 4]> {
+/// An app that shows a scene, and what its camera draws into.
+pub fn stage(scene: Scene, samples: u32) -> (App, Handle<Image>) {
     let mut app = app();
     let parts = SceneParts::new(scene);
     let unit = 1.0 / bevy_holovol::environment::DEFAULT_INTENSITY;
@@ -72,7 +73,7 @@ fn in_bevy(scene: Scene) -> Vec<[f32; 4]> {
     let target = target(&mut app, parts.size.x, parts.size.y);
     let settings = VolumeRenderSettings {
         samples: 16,
-        max_samples: SAMPLES,
+        max_samples: samples,
         ..parts.settings
     };
     let camera = spawn_camera(&mut app, &target, 1.0, settings);
@@ -84,6 +85,11 @@ fn in_bevy(scene: Scene) -> Vec<[f32; 4]> {
             ev100: -(1.2 * unit).log2(),
         },
     ));
+    (app, target)
+}
+
+fn in_bevy(scene: Scene) -> Vec<[f32; 4]> {
+    let (mut app, target) = stage(scene, SAMPLES);
     finish(&mut app);
     read(&mut app, &target).pixels
 }
@@ -133,21 +139,31 @@ fn compare(path: &Path) {
     );
 }
 
-fn small_scenes() {
-    const { assert!(MAX_VIEWS >= 2, "both eyes in one dispatch") };
+/// Scenes that come with the sources.
+pub fn small_scene_files() -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/scenes");
     let files = scene_files(&folder);
     assert!(!files.is_empty(), "{} has scenes", folder.display());
-    for file in files {
+    files
+}
+
+/// Scenes of real scans, where they are at hand.
+pub fn reference_scene_files() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/reference");
+    scene_files(&folder)
+}
+
+fn small_scenes() {
+    const { assert!(MAX_VIEWS >= 2, "both eyes in one dispatch") };
+    for file in small_scene_files() {
         compare(&file);
     }
 }
 
 fn reference_scenes() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/reference");
-    let files = scene_files(&folder);
+    let files = reference_scene_files();
     if files.is_empty() {
-        eprintln!("skipped: {} has no scenes", folder.display());
+        eprintln!("skipped: ../shared/reference has no scenes");
     }
     for file in files {
         compare(&file);

@@ -20,6 +20,22 @@ fn slab_opacity_is_one_minus_transmittance() {
 }
 
 #[test]
+fn camera_rays_end_where_they_are_told_to() {
+    let scene = homogeneous(2.0, 0.5);
+    // The cube's front is half a metre before its centre.
+    let front = scene.camera.eye.length() - 0.5;
+    for inside in [-1.0, 0.25, 0.8, 2.0] {
+        let tracer = Tracer::new(&scene, &settings(400))
+            .expect("a scene")
+            .with_camera_ray_end(|_| front + inside);
+        let mut film = tracer.film();
+        tracer.accumulate(&mut film, 400);
+        let expected = -f64::exp_m1(-2.0 * inside.clamp(0.0, 1.0));
+        assert_opacity("what is before the end", &film, expected);
+    }
+}
+
+#[test]
 fn transmittance_is_that_of_the_integral_over_a_ramp() {
     // Two voxels: s rises linearly from ¼ to ¾ of the way, σ = 8 s(1 − s)-like by a tent in s.
     let tent = vec![
