@@ -81,8 +81,8 @@ pub const MUTATIONS: &[Caught] = &[
     ),
     caught(
         PHASE,
-        "let d = (1.0 - a) + 2.0",
-        "let d = (1.0 - a) + 1.9",
+        "(1.0 - xi.x)",
+        "(1.0 - 0.95 * xi.x)",
         draws::phase_function,
     ),
     caught(SURFACE, "m2 * m2 * m;", "m2 * m2;", functions::surface),
