@@ -17,7 +17,6 @@ mod view;
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
-use holovol_volume::CELL_SIZE;
 
 pub(crate) use kernels::FrameKernels;
 pub use kernels::Kernels;
@@ -31,7 +30,7 @@ pub use view::{FrameImage, FrameWork, ViewFrame};
 use crate::depth::MeshDepth;
 use crate::trace::{
     Buffers, DispatchUniform, GpuCounters, PIXEL_BYTES, QUEUE_CAPACITY, Surroundings, ViewUniform,
-    check_medium, kernel_seed, layout, shader_defs,
+    check_medium, check_options, kernel_seed, layout, shader_defs,
 };
 use crate::{
     Counters, Gpu, GpuEnvironment, GpuVolume, MAX_VIEWS, MajorantGrid, Medium, RenderError,
@@ -78,7 +77,8 @@ impl FrameTracer {
         options: TraceOptions,
     ) -> Result<Self, RenderError> {
         check_medium(&medium, volume.dims())?;
-        let majorants = MajorantGrid::new(gpu, &volume, CELL_SIZE)?;
+        check_options(&options)?;
+        let majorants = MajorantGrid::new(gpu, &volume, options.cell_size)?;
         let s_from_texel = volume.s_from_texel(medium.window);
         majorants.update(gpu, &medium.transfer_function, s_from_texel)?;
         let layout = layout(gpu, options.interpolation, volume.slices)?;

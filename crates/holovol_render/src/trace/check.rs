@@ -3,8 +3,12 @@
 use glam::{DMat3, DMat4, DVec3, DVec4};
 use holovol_scene::Scene;
 
-use super::Medium;
+use super::{Medium, TraceOptions};
 use crate::RenderError;
+
+/// Registers for candidates and chosen collisions are laid out for this many.
+const PICKS_MAX: u32 = 4;
+const CANDIDATES_MAX: u32 = 8;
 
 /// Between the view and `up`: below, rounding decides which way is up.
 const SMALLEST_SINE: f64 = 1e-9;
@@ -76,6 +80,56 @@ pub(crate) fn camera(scene: &Scene) -> Result<(), RenderError> {
     Ok(())
 }
 
+/// Fails on options for which there is no kernel.
+pub(crate) fn options(options: &TraceOptions) -> Result<(), RenderError> {
+    if !(1..=PICKS_MAX).contains(&options.picks) {
+        return refuse(
+            "picks",
+            format!("{}: expected 1 to {PICKS_MAX}", options.picks),
+        );
+    }
+    if let Some(candidates) = options.light_candidates
+        && (candidates == [0, 0] || candidates.iter().any(|&n| n > CANDIDATES_MAX))
+    {
+        return refuse(
+            "light_candidates",
+            format!("{candidates:?}: expected at least one, and at most {CANDIDATES_MAX} of each"),
+        );
+    }
+    if options.cell_size == 0 {
+        return refuse("cell_size", "0 voxels: expected at least 1".into());
+    }
+    if options.budget == 0 {
+        return refuse("budget", "0 rounds: expected at least 1".into());
+    }
+    Ok(())
+}
+
 fn refuse(field: &'static str, reason: String) -> Result<(), RenderError> {
     Err(RenderError::Scene { field, reason })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn options_without_a_kernel_are_refused() {
+        let fine = TraceOptions::default();
+        assert!(options(&fine).is_ok());
+        let wrong: [(&str, fn(&mut TraceOptions)); 6] = [
+            ("picks", |o| o.picks = 0),
+            ("picks", |o| o.picks = 5),
+            ("light_candidates", |o| o.light_candidates = Some([0, 0])),
+            ("light_candidates", |o| o.light_candidates = Some([9, 1])),
+            ("cell_size", |o| o.cell_size = 0),
+            ("budget", |o| o.budget = 0),
+        ];
+        for (field, spoil) in wrong {
+            let mut spoilt = fine.clone();
+            spoil(&mut spoilt);
+            let message = options(&spoilt).expect_err(field).to_string();
+            assert!(message.starts_with(field), "{message}");
+        }
+    }
 }

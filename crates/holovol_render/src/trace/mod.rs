@@ -7,7 +7,7 @@
 
 mod bands;
 mod check;
-pub(crate) use check::medium as check_medium;
+pub(crate) use check::{medium as check_medium, options as check_options};
 #[cfg(any(test, feature = "testing"))]
 pub(crate) mod contract;
 mod environment;
@@ -190,6 +190,7 @@ impl Tracer {
     pub fn new(gpu: &Gpu, scene: &Scene, options: &TraceOptions) -> Result<Self, RenderError> {
         check::medium(&Medium::from_scene(scene), scene.volume.dims())?;
         check::camera(scene)?;
+        check::options(options)?;
         let volume = GpuVolume::new(
             gpu,
             &scene.volume,
