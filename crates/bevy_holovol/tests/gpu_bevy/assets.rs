@@ -130,9 +130,8 @@ fn a_volume_that_is_replaced_is_shown() {
 fn transfer_functions_are_loaded_again() {
     let folder = tempfile::tempdir().expect("a folder");
     let write = |sigma_t: f64| {
-        let text = format!(
-            r#"{{"version": 1, "points": [{{"s": 0, "sigma_t": {sigma_t}, "albedo": [0, 0, 0]}}]}}"#
-        );
+        let text =
+            format!(r#"{{"points": [{{"s": 0, "sigma_t": {sigma_t}, "albedo": [0, 0, 0]}}]}}"#);
         let beside = folder.path().join("beside");
         std::fs::write(&beside, text).expect("written");
         std::fs::rename(beside, folder.path().join("matter.tf.json")).expect("renamed");
