@@ -40,6 +40,7 @@ pub(crate) const SHARED: &[ShaderFile] = &[
     shader_file!("shared/environment.wgsl"),
     shader_file!("shared/walk.wgsl"),
     shader_file!("shared/scattering.wgsl"),
+    shader_file!("denoise/common.wgsl"),
 ];
 
 #[cfg(any(test, feature = "testing"))]

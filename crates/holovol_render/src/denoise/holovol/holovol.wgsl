@@ -1,0 +1,319 @@
+// The denoiser's own mode, pass by pass; docs/denoising.md explains it.
+
+#import holovol_render::denoise::common::{
+    denoise, state, keys, counts, tiles, noisy, output, Key, unpack_key, with_frames,
+    guide_distance, half_now, half_before, albedo_at, scratch_at, both_at, tile_at, tile_sums,
+    tile_memory, tile_result, mean_rgb, all_finite, HISTORY_MOVED, HISTORY_SAME,
+    HISTORY_NONE, ALBEDO_FLOOR, LARGEST, TILE,
+}
+
+// Weights of history and of the other eye below this are nothing.
+const NO_WEIGHT: f32 = 0.02;
+// Pixels to each side that the last pass filters over.
+const RADIUS: i32 = #{RADIUS};
+
+struct Fetched {
+    light: vec4<f32>,
+    frames: f32,
+    filtered: f32,
+}
+
+var<workgroup> shared_sums: array<array<vec4<f32>, 3>, 64>;
+
+fn pixel_of(group: vec3<u32>, local: u32) -> vec2<u32> {
+    return TILE * group.xy + vec2<u32>(local % TILE, local / TILE);
+}
+
+// Bilinear over four pixels whose guides fit; their weight is that of the history.
+fn fetch(key: Key, position: vec3<f32>, eye: u32, keys_first: u32, state_first: u32, counts_first: u32, strictness: f32) -> Fetched {
+    var found = Fetched(vec4<f32>(0.0), 0.0, 0.0);
+    let size = vec2<i32>(denoise.eyes[eye].image.xy);
+    let pixel_size = denoise.eyes[eye].turn_x.w;
+    var here = key;
+    here.depth = position.z;
+    let place = position.xy / position.z - 0.5;
+    if !(position.z > 0.0) || !(all(place > vec2<f32>(-1.0)) && all(place < vec2<f32>(size))) {
+        return found;
+    }
+    let base = floor(place);
+    let weight = place - base;
+    var total = 0.0;
+    for (var k = 0; k < 4; k += 1) {
+        let offset = vec2<i32>(k & 1, k >> 1u);
+        let at = vec2<i32>(base) + offset;
+        if any(at < vec2<i32>(0)) || any(at >= size) {
+            continue;
+        }
+        let pixel = denoise.eyes[eye].image.w + u32(at.x + size.x * at.y);
+        let there = unpack_key(keys[keys_first + pixel]);
+        if there.albedo <= 0.0 || there.frames <= 0.0 {
+            continue;
+        }
+        let side = select(1.0 - weight, weight, offset == vec2<i32>(1));
+        let w = side.x * side.y / (1.0 + strictness * guide_distance(here, there, pixel_size));
+        let count = counts[counts_first + pixel];
+        total += w;
+        found.light += w * state[state_first + pixel];
+        found.frames += w * count.x;
+        found.filtered += w * count.y;
+    }
+    if total < NO_WEIGHT {
+        return Fetched(vec4<f32>(0.0), 0.0, 0.0);
+    }
+    found.light /= total;
+    found.filtered /= total;
+    return found;
+}
+
+fn position_of(eye: u32, pixel: vec2<u32>, depth: f32) -> vec4<f32> {
+    let p = vec2<f32>(pixel) + 0.5;
+    let ray = denoise.eyes[eye].direction + p.x * denoise.eyes[eye].direction_dx
+        + p.y * denoise.eyes[eye].direction_dy;
+    return vec4<f32>(depth * ray.xyz, 1.0);
+}
+
+// This frame's light and opacity of a pixel; opacity -1 if a sample was not finite.
+fn new_light(eye: u32, pixel: u32, scale: vec3<f32>) -> vec4<f32> {
+    let in_eye = pixel - denoise.eyes[eye].image.w + denoise.eyes[eye].image.z;
+    let sum = noisy[2u * in_eye] + noisy[2u * in_eye + 1u];
+    let mean = sum / f32(max(denoise.eyes[eye].frame.x, 1u));
+    if !all_finite(mean) {
+        return vec4<f32>(0.0, 0.0, 0.0, -1.0);
+    }
+    return vec4<f32>(clamp(mean.rgb / scale, vec3<f32>(0.0), vec3<f32>(LARGEST)), mean.a);
+}
+
+// 1. What this frame's samples and the history say of each pixel, and of each tile.
+@compute @workgroup_size(64)
+fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let eye = group.z;
+    let position = pixel_of(group, local);
+    let size = denoise.eyes[eye].image.xy;
+    var sums = array<vec4<f32>, 3>(vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0));
+    if all(position < size) {
+        let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
+        let key = unpack_key(keys[half_now() + pixel]);
+        let scale = state[albedo_at(pixel)].rgb + ALBEDO_FLOOR;
+        let light = new_light(eye, pixel, scale);
+        let history = denoise.eyes[eye].frame.y;
+        var before = Fetched(vec4<f32>(0.0), 0.0, 0.0);
+        if history == HISTORY_SAME {
+            let count = counts[half_before() + pixel];
+            before = Fetched(state[half_before() + pixel], count.x, count.y);
+        } else if history == HISTORY_MOVED && key.albedo > 0.0 {
+            let here = position_of(eye, position, key.depth);
+            let there = vec3<f32>(
+                dot(denoise.eyes[eye].previous_x, here),
+                dot(denoise.eyes[eye].previous_y, here),
+                dot(denoise.eyes[eye].previous_depth, here),
+            );
+            var turned = key;
+            turned.normal = vec3<f32>(
+                dot(denoise.eyes[eye].turn_x.xyz, key.normal),
+                dot(denoise.eyes[eye].turn_y.xyz, key.normal),
+                dot(denoise.eyes[eye].turn_z.xyz, key.normal),
+            );
+            before = fetch(turned, there, eye, half_before(), half_before(), half_before(), denoise.across.x);
+        }
+        before.frames = min(before.frames * denoise.eyes[eye].history.y, denoise.eyes[eye].history.x);
+        state[scratch_at(pixel)] = before.light;
+        counts[both_at(pixel)] = vec2<f32>(before.frames, before.filtered);
+        if before.frames > 0.0 && key.albedo > 0.0 && light.a >= 0.0 {
+            let old = before.light.rgb * scale;
+            let difference = light.rgb * scale - old;
+            let d = mean_rgb(difference);
+            let mean = mean_rgb(old);
+            let filtered = before.filtered * mean_rgb(scale);
+            let by_filter = filtered - mean;
+            let w = 1.0 / (filtered * filtered + denoise.tiles.z);
+            sums[0] = vec4<f32>(difference, d * d);
+            sums[1] = vec4<f32>(old, mean * mean);
+            sums[2] = vec4<f32>(d * by_filter * w, by_filter * by_filter * w, d * d * w, 1.0);
+        }
+    }
+    shared_sums[local] = sums;
+    workgroupBarrier();
+    for (var stride = 32u; stride > 0u; stride /= 2u) {
+        if local < stride {
+            for (var k = 0u; k < 3u; k += 1u) {
+                shared_sums[local][k] += shared_sums[local + stride][k];
+            }
+        }
+        workgroupBarrier();
+    }
+    if local < 3u && TILE * group.x < size.x && TILE * group.y < size.y {
+        let tile = denoise.eyes[eye].frame.z + group.x + denoise.eyes[eye].frame.w * group.y;
+        tiles[tile_sums(local) + tile] = shared_sums[0][local];
+    }
+}
+
+// 2. How far the history lags behind around each tile, its noise, and whether filtering paid.
+@compute @workgroup_size(64)
+fn judge(@builtin(global_invocation_id) invocation: vec3<u32>) {
+    let eye = invocation.y;
+    let across = denoise.eyes[eye].frame.w;
+    let down = (denoise.eyes[eye].image.y + TILE - 1u) / TILE;
+    if invocation.x >= across * down {
+        return;
+    }
+    let place = vec2<i32>(i32(invocation.x % across), i32(invocation.x / across));
+    let last = vec2<i32>(i32(across), i32(down)) - 1;
+    let first = denoise.eyes[eye].frame.z;
+    let memory_factor = denoise.tiles.w;
+    var difference = vec4<f32>(0.0);
+    var old = vec4<f32>(0.0);
+    var variance = 0.0;
+    var memory = vec4<f32>(0.0);
+    var own = vec4<f32>(0.0);
+    for (var k = 0; k < 9; k += 1) {
+        let offset = vec2<i32>(k % 3, k / 3) - 1;
+        let at = clamp(place + offset, vec2<i32>(0), last);
+        let tile = first + u32(at.x) + across * u32(at.y);
+        let side = vec2<f32>(2.0 - abs(vec2<f32>(offset)));
+        let w = side.x * side.y / 16.0;
+        let sums = tiles[tile_sums(0u) + tile];
+        difference += w * sums;
+        variance += w * w * sums.w;
+        old += w * tiles[tile_sums(1u) + tile];
+        var remembered = tiles[tile_sums(2u) + tile];
+        if denoise.eyes[eye].frame.y != HISTORY_NONE {
+            remembered += memory_factor * tiles[tile_memory(false) + tile];
+        }
+        memory += w * remembered;
+        if k == 4 {
+            own = remembered;
+        }
+    }
+    tiles[tile_memory(true) + first + invocation.x] = own;
+
+    // A lag that noise explains is none.
+    let lag = mean_rgb(difference.rgb);
+    let significance = lag * lag / max(variance, 1e-30) - 1.0;
+    let gain = max(significance, 0.0) / (max(significance, 0.0) + denoise.tiles.x);
+    var correction = gain * difference.rgb / max(old.rgb, vec3<f32>(1e-20));
+    correction = clamp(correction, vec3<f32>(-0.9), vec3<f32>(4.0));
+    correction = select(vec3<f32>(0.0), correction, old.rgb > vec3<f32>(1e-20));
+    var shortening = min(mean_rgb(abs(correction)), 1.0) * denoise.tiles.y;
+    if denoise.eyes[eye].frame.y == HISTORY_SAME {
+        correction = vec3<f32>(0.0);
+        shortening = 0.0;
+    }
+    // Least squares of the new samples on what the filter had changed: they share no noise.
+    let prior = 1e-3 * memory.z + 1e-20;
+    let weight = clamp((memory.x + prior) / (memory.y + prior), 0.0, 1.0);
+    let noise = select(denoise.across.w, difference.w / max(old.w, 1e-30), old.w > 1e-30);
+    tiles[tile_result(0u) + first + invocation.x] = vec4<f32>(correction, shortening);
+    tiles[tile_result(1u) + first + invocation.x] =
+        vec4<f32>(weight, clamp(noise, 0.003, 1.0), 0.0, 0.0);
+}
+
+// 3. The new samples join the corrected history.
+@compute @workgroup_size(64)
+fn blend(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let eye = group.z;
+    let position = pixel_of(group, local);
+    let size = denoise.eyes[eye].image.xy;
+    if any(position >= size) {
+        return;
+    }
+    let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
+    let scale = state[albedo_at(pixel)].rgb + ALBEDO_FLOOR;
+    let light = new_light(eye, pixel, scale);
+    var old = state[scratch_at(pixel)];
+    let count = counts[both_at(pixel)];
+    var frames = count.x;
+    if denoise.eyes[eye].frame.y == HISTORY_MOVED {
+        let tile = tile_at(eye, position, 0u);
+        old = vec4<f32>(old.rgb * (1.0 + tile.rgb), old.a);
+        frames /= 1.0 + frames * tile.w;
+    }
+    if light.a >= 0.0 {
+        old += (light - old) / (frames + 1.0);
+        frames += 1.0;
+    } else if frames == 0.0 {
+        old = vec4<f32>(0.0);
+    }
+    state[half_now() + pixel] = old;
+    counts[half_now() + pixel] = vec2<f32>(frames, 0.0);
+    keys[half_now() + pixel] = with_frames(keys[half_now() + pixel], frames);
+}
+
+// 4. What the other eye has of the same place.
+@compute @workgroup_size(64)
+fn stereo(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let eye = group.z;
+    let position = pixel_of(group, local);
+    let size = denoise.eyes[eye].image.xy;
+    if any(position >= size) {
+        return;
+    }
+    let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
+    let words = keys[half_now() + pixel];
+    let key = unpack_key(words);
+    var light = state[half_now() + pixel];
+    var frames = counts[half_now() + pixel].x;
+    if denoise.counts.x == 2u && key.albedo > 0.0 {
+        let here = position_of(eye, position, key.depth);
+        let there = vec3<f32>(
+            dot(denoise.eyes[eye].other_x, here),
+            dot(denoise.eyes[eye].other_y, here),
+            dot(denoise.eyes[eye].other_depth, here),
+        );
+        let other = fetch(key, there, 1u - eye, half_now(), half_now(), half_now(), denoise.across.y);
+        if other.frames > 0.0 {
+            // However many frames it has, it may be off by its bias.
+            let noise = tile_at(eye, position, 1u).y;
+            let worth = other.frames / (1.0 + other.frames * denoise.across.z / noise);
+            light = mix(light, other.light, worth / (frames + worth));
+            frames += worth;
+        }
+    }
+    state[scratch_at(pixel)] = light;
+    keys[both_at(pixel)] = with_frames(words, frames);
+}
+
+// 5. A filter over neighbours, each weighed by its noise and by what its guides differ.
+@compute @workgroup_size(64)
+fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let eye = group.z;
+    let position = pixel_of(group, local);
+    let size = denoise.eyes[eye].image.xy;
+    if any(position >= size) {
+        return;
+    }
+    let first = denoise.eyes[eye].image.w;
+    let pixel = first + position.x + size.x * position.y;
+    let pixel_size = denoise.eyes[eye].turn_x.w;
+    let key = unpack_key(keys[both_at(pixel)]);
+    let own = state[half_now() + pixel];
+    let albedo = state[albedo_at(pixel)];
+    let tile = tile_at(eye, position, 1u);
+    let own_frames = counts[half_now() + pixel].x;
+    let centre = max(key.frames, 0.5);
+    var light = centre * state[scratch_at(pixel)];
+    var total = centre;
+    let is_used = key.albedo > 0.0 || own.a > 0.0;
+    let low = max(vec2<i32>(position) - RADIUS, vec2<i32>(0));
+    let high = min(vec2<i32>(position) + RADIUS, vec2<i32>(size) - 1);
+    let inverse_noise = 1.0 / tile.y;
+    for (var y = low.y; y <= high.y && is_used; y += 1) {
+        for (var x = low.x; x <= high.x; x += 1) {
+            let at = first + u32(x) + size.x * u32(y);
+            let there = unpack_key(keys[both_at(at)]);
+            let offset = vec2<f32>(vec2<i32>(x, y) - vec2<i32>(position));
+            let r2 = dot(offset, offset);
+            let bias = guide_distance(key, there, pixel_size) + denoise.bias.x * r2;
+            let fits = 1.0 / (1.0 + bias * there.frames * inverse_noise);
+            let w = select(0.0, fits * fits * there.frames, r2 > 0.0);
+            total += w;
+            light += w * state[scratch_at(at)];
+        }
+    }
+    light /= total;
+    let scale = albedo.rgb + ALBEDO_FLOOR;
+    counts[half_now() + pixel].y = mean_rgb(light.rgb * scale) / mean_rgb(scale);
+    // However sure the tile is, its error must fall with the noise of the samples.
+    let weight = min(tile.x, #{FADE_FRAMES}.0 / (#{FADE_FRAMES}.0 + own_frames));
+    let result = mix(own, light, weight);
+    output[pixel] = vec4<f32>(result.rgb * scale, clamp(result.a, 0.0, 1.0));
+}
