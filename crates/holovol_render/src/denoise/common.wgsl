@@ -166,10 +166,11 @@ fn tile_at(eye: u32, position: vec2<u32>, part: u32) -> vec4<f32> {
     return mix(mix(v00, v10, weight.x), mix(v01, v11, weight.x), weight.y);
 }
 
-// Tiles: three vectors of sums, two of memory by halves, two of results.
+// Tiles: three vectors of sums, two of memory by halves, two of results; then of their rows.
 fn tile_sums(part: u32) -> u32 { return part * denoise.counts.z; }
 fn tile_memory(now: bool) -> u32 {
     let half = select(1u - denoise.halves.z, denoise.halves.z, now);
     return (3u + half) * denoise.counts.z;
 }
 fn tile_result(part: u32) -> u32 { return (5u + part) * denoise.counts.z; }
+fn tile_rows(part: u32) -> u32 { return (7u + TILE * part) * denoise.counts.z; }

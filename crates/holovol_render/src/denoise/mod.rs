@@ -33,7 +33,7 @@ const FADE_FRAMES: u32 = 512;
 const STATE: u64 = 5;
 const KEYS: u64 = 3;
 const COUNTS: u64 = 3;
-const TILES: u64 = 7;
+const TILES: u64 = 7 + 3 * TILE as u64;
 /// A change of light T leaves at most this · (1 − T)/T frames: 0.4 frames of 0.8, so that a lamp's
 /// ghost is below a tenth after four frames.
 const KEPT_FRAMES: f32 = 1.6;
@@ -188,7 +188,14 @@ impl Denoiser {
         let (file, entries, radius): (_, &[&'static str], _) = match settings.mode {
             DenoiseMode::Holovol => (
                 &HOLOVOL,
-                &["reproject", "judge", "blend", "stereo", "gather"],
+                &[
+                    "reproject",
+                    "add_rows",
+                    "judge",
+                    "blend",
+                    "stereo",
+                    "gather",
+                ],
                 settings.radius,
             ),
             DenoiseMode::Paper(paper) => {
@@ -335,10 +342,12 @@ impl Denoiser {
         pass.set_bind_group(0, &group, &[]);
         for (name, pipeline) in &self.passes {
             pass.set_pipeline(pipeline);
-            if *name == "judge" {
-                pass.dispatch_workgroups((x * y).div_ceil(64), eyes, 1);
-            } else {
-                pass.dispatch_workgroups(x, y, eyes);
+            match *name {
+                // A lane takes a row of a tile.
+                "reproject" => pass.dispatch_workgroups(x.div_ceil(TILE), y, eyes),
+                "add_rows" => pass.dispatch_workgroups((x * y * eyes).div_ceil(64), 1, 1),
+                "judge" => pass.dispatch_workgroups((x * y).div_ceil(64), eyes, 1),
+                _ => pass.dispatch_workgroups(x, y, eyes),
             }
         }
         Ok(())
@@ -412,9 +421,7 @@ impl Denoiser {
                 settings.depth_bias,
                 settings.opacity_bias,
             ],
-            DenoiseMode::Paper(paper) => {
-                [paper.sigma, paper.albedo, paper.gradient, paper.depth]
-            }
+            DenoiseMode::Paper(paper) => [paper.sigma, paper.albedo, paper.gradient, paper.depth],
         };
         let [frames, eyes] = settings.strictness;
         uniform.across = [frames, eyes, settings.eye_bias, settings.first_variance];

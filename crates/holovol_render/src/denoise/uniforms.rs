@@ -67,11 +67,7 @@ impl EyeUniform {
             direction: row(view.direction, 0.0),
             direction_dx: row(view.direction_dx, 0.0),
             direction_dy: row(view.direction_dy, 0.0),
-            turn: [
-                row(DVec3::X, pixel),
-                row(DVec3::Y, 0.0),
-                row(DVec3::Z, 0.0),
-            ],
+            turn: [row(DVec3::X, pixel), row(DVec3::Y, 0.0), row(DVec3::Z, 0.0)],
             ..Self::zeroed()
         }
     }

@@ -3,7 +3,7 @@
 #import holovol_render::denoise::common::{
     denoise, state, keys, counts, tiles, noisy, output, Key, unpack_key, with_frames,
     guide_distance, half_now, half_before, albedo_at, scratch_at, both_at, tile_at, tile_sums,
-    tile_memory, tile_result, mean_rgb, all_finite, HISTORY_MOVED, HISTORY_SAME,
+    tile_memory, tile_result, tile_rows, mean_rgb, all_finite, HISTORY_MOVED, HISTORY_SAME,
     HISTORY_NONE, ALBEDO_FLOOR, LARGEST, TILE,
 }
 
@@ -11,14 +11,14 @@
 const NO_WEIGHT: f32 = 0.02;
 // Pixels to each side that the last pass filters over.
 const RADIUS: i32 = #{RADIUS};
+// Loops of one round stand for branches here: software rasterisers run both sides of a branch, but
+// leave a loop that no lane wants.
 
 struct Fetched {
     light: vec4<f32>,
     frames: f32,
     filtered: f32,
 }
-
-var<workgroup> shared_sums: array<array<vec4<f32>, 3>, 64>;
 
 fn pixel_of(group: vec3<u32>, local: u32) -> vec2<u32> {
     return TILE * group.xy + vec2<u32>(local % TILE, local / TILE);
@@ -83,24 +83,59 @@ fn new_light(eye: u32, pixel: u32, scale: vec3<f32>) -> vec4<f32> {
     return vec4<f32>(clamp(mean.rgb / scale, vec3<f32>(0.0), vec3<f32>(LARGEST)), mean.a);
 }
 
-// 1. What this frame's samples and the history say of each pixel, and of each tile.
+// 1. What this frame's samples and the history say of each pixel, and of each row of a tile. A lane
+// takes the eight pixels of such a row: sums need no other lane.
 @compute @workgroup_size(64)
 fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
     let eye = group.z;
-    let position = pixel_of(group, local);
+    let row = vec2<u32>(TILE * group.x + local / TILE, TILE * group.y + local % TILE);
     let size = denoise.eyes[eye].image.xy;
+    let across = denoise.eyes[eye].frame.w;
+    if row.x >= across || group.y * TILE >= size.y {
+        return;
+    }
     var sums = array<vec4<f32>, 3>(vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0));
-    if all(position < size) {
+    let end = select(min(TILE * (row.x + 1u), size.x), 0u, row.y >= size.y);
+    for (var x = TILE * row.x; x < end; x += 1u) {
+        let position = vec2<u32>(x, row.y);
         let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
-        let key = unpack_key(keys[half_now() + pixel]);
-        let scale = state[albedo_at(pixel)].rgb + ALBEDO_FLOOR;
-        let light = new_light(eye, pixel, scale);
-        let history = denoise.eyes[eye].frame.y;
-        var before = Fetched(vec4<f32>(0.0), 0.0, 0.0);
-        if history == HISTORY_SAME {
-            let count = counts[half_before() + pixel];
-            before = Fetched(state[half_before() + pixel], count.x, count.y);
-        } else if history == HISTORY_MOVED && key.albedo > 0.0 {
+        let before = history_of(eye, position, pixel);
+        state[scratch_at(pixel)] = before.light;
+        counts[both_at(pixel)] = vec2<f32>(before.frames, before.filtered);
+        let is_met = bitcast<f32>(keys[half_now() + pixel].x) > 0.0;
+        for (var once = is_met && before.frames > 0.0; once; once = false) {
+            let scale = state[albedo_at(pixel)].rgb + ALBEDO_FLOOR;
+            let light = new_light(eye, pixel, scale);
+            let old = before.light.rgb * scale;
+            let difference = light.rgb * scale - old;
+            let d = mean_rgb(difference);
+            let mean = mean_rgb(old);
+            let filtered = before.filtered * mean_rgb(scale);
+            let by_filter = filtered - mean;
+            let w = 1.0 / (filtered * filtered + denoise.tiles.z);
+            if light.a >= 0.0 {
+                sums[0] += vec4<f32>(difference, d * d);
+                sums[1] += vec4<f32>(old, mean * mean);
+                sums[2] += vec4<f32>(d * by_filter * w, by_filter * by_filter * w, d * d * w, 1.0);
+            }
+        }
+    }
+    let tile = denoise.eyes[eye].frame.z + row.x + across * group.y;
+    for (var k = 0u; k < 3u; k += 1u) {
+        tiles[tile_rows(k) + TILE * tile + local % TILE] = sums[k];
+    }
+}
+
+fn history_of(eye: u32, position: vec2<u32>, pixel: u32) -> Fetched {
+    let history = denoise.eyes[eye].frame.y;
+    var before = Fetched(vec4<f32>(0.0), 0.0, 0.0);
+    if history == HISTORY_SAME {
+        let count = counts[half_before() + pixel];
+        before = Fetched(state[half_before() + pixel], count.x, count.y);
+    } else if history == HISTORY_MOVED {
+        let words = keys[half_now() + pixel];
+        for (var once = bitcast<f32>(words.x) > 0.0; once; once = false) {
+            let key = unpack_key(words);
             let here = position_of(eye, position, key.depth);
             let there = vec3<f32>(
                 dot(denoise.eyes[eye].previous_x, here),
@@ -115,39 +150,27 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
             );
             before = fetch(turned, there, eye, half_before(), half_before(), half_before(), denoise.across.x);
         }
-        before.frames = min(before.frames * denoise.eyes[eye].history.y, denoise.eyes[eye].history.x);
-        state[scratch_at(pixel)] = before.light;
-        counts[both_at(pixel)] = vec2<f32>(before.frames, before.filtered);
-        if before.frames > 0.0 && key.albedo > 0.0 && light.a >= 0.0 {
-            let old = before.light.rgb * scale;
-            let difference = light.rgb * scale - old;
-            let d = mean_rgb(difference);
-            let mean = mean_rgb(old);
-            let filtered = before.filtered * mean_rgb(scale);
-            let by_filter = filtered - mean;
-            let w = 1.0 / (filtered * filtered + denoise.tiles.z);
-            sums[0] = vec4<f32>(difference, d * d);
-            sums[1] = vec4<f32>(old, mean * mean);
-            sums[2] = vec4<f32>(d * by_filter * w, by_filter * by_filter * w, d * d * w, 1.0);
-        }
     }
-    shared_sums[local] = sums;
-    workgroupBarrier();
-    for (var stride = 32u; stride > 0u; stride /= 2u) {
-        if local < stride {
-            for (var k = 0u; k < 3u; k += 1u) {
-                shared_sums[local][k] += shared_sums[local + stride][k];
-            }
-        }
-        workgroupBarrier();
+    before.frames = min(before.frames * denoise.eyes[eye].history.y, denoise.eyes[eye].history.x);
+    return before;
+}
+
+// 2a. Rows of a tile together.
+@compute @workgroup_size(64)
+fn add_rows(@builtin(global_invocation_id) invocation: vec3<u32>) {
+    if invocation.x >= denoise.counts.z {
+        return;
     }
-    if local < 3u && TILE * group.x < size.x && TILE * group.y < size.y {
-        let tile = denoise.eyes[eye].frame.z + group.x + denoise.eyes[eye].frame.w * group.y;
-        tiles[tile_sums(local) + tile] = shared_sums[0][local];
+    for (var k = 0u; k < 3u; k += 1u) {
+        var sum = vec4<f32>(0.0);
+        for (var row = 0u; row < TILE; row += 1u) {
+            sum += tiles[tile_rows(k) + TILE * invocation.x + row];
+        }
+        tiles[tile_sums(k) + invocation.x] = sum;
     }
 }
 
-// 2. How far the history lags behind around each tile, its noise, and whether filtering paid.
+// 2b. How far the history lags behind around each tile, its noise, and whether filtering paid.
 @compute @workgroup_size(64)
 fn judge(@builtin(global_invocation_id) invocation: vec3<u32>) {
     let eye = invocation.y;
@@ -222,7 +245,7 @@ fn blend(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     var old = state[scratch_at(pixel)];
     let count = counts[both_at(pixel)];
     var frames = count.x;
-    if denoise.eyes[eye].frame.y == HISTORY_MOVED {
+    for (var once = denoise.eyes[eye].frame.y == HISTORY_MOVED && frames > 0.0; once; once = false) {
         let tile = tile_at(eye, position, 0u);
         old = vec4<f32>(old.rgb * (1.0 + tile.rgb), old.a);
         frames /= 1.0 + frames * tile.w;
@@ -252,7 +275,7 @@ fn stereo(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
     let key = unpack_key(words);
     var light = state[half_now() + pixel];
     var frames = counts[half_now() + pixel].x;
-    if denoise.counts.x == 2u && key.albedo > 0.0 {
+    for (var once = denoise.counts.x == 2u && key.albedo > 0.0; once; once = false) {
         let here = position_of(eye, position, key.depth);
         let there = vec3<f32>(
             dot(denoise.eyes[eye].other_x, here),
@@ -283,37 +306,44 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
     }
     let first = denoise.eyes[eye].image.w;
     let pixel = first + position.x + size.x * position.y;
-    let pixel_size = denoise.eyes[eye].turn_x.w;
-    let key = unpack_key(keys[both_at(pixel)]);
     let own = state[half_now() + pixel];
-    let albedo = state[albedo_at(pixel)];
-    let tile = tile_at(eye, position, 1u);
-    let own_frames = counts[half_now() + pixel].x;
-    let centre = max(key.frames, 0.5);
-    var light = centre * state[scratch_at(pixel)];
-    var total = centre;
-    let is_used = key.albedo > 0.0 || own.a > 0.0;
-    let low = max(vec2<i32>(position) - RADIUS, vec2<i32>(0));
-    let high = min(vec2<i32>(position) + RADIUS, vec2<i32>(size) - 1);
-    let inverse_noise = 1.0 / tile.y;
-    for (var y = low.y; y <= high.y && is_used; y += 1) {
-        for (var x = low.x; x <= high.x; x += 1) {
-            let at = first + u32(x) + size.x * u32(y);
-            let there = unpack_key(keys[both_at(at)]);
-            let offset = vec2<f32>(vec2<i32>(x, y) - vec2<i32>(position));
-            let r2 = dot(offset, offset);
-            let bias = guide_distance(key, there, pixel_size) + denoise.bias.x * r2;
-            let fits = 1.0 / (1.0 + bias * there.frames * inverse_noise);
-            let w = select(0.0, fits * fits * there.frames, r2 > 0.0);
-            total += w;
-            light += w * state[scratch_at(at)];
+    let scale = state[albedo_at(pixel)].rgb + ALBEDO_FLOOR;
+    let words = keys[both_at(pixel)];
+    var result = own;
+    var filtered = own;
+    for (var once = bitcast<f32>(words.x) > 0.0; once; once = false) {
+        let pixel_size = denoise.eyes[eye].turn_x.w;
+        let key = unpack_key(words);
+        let tile = tile_at(eye, position, 1u);
+        let own_frames = counts[half_now() + pixel].x;
+        let centre = max(key.frames, 0.5);
+        var light = centre * state[scratch_at(pixel)];
+        var total = centre;
+        let low = max(vec2<i32>(position) - RADIUS, vec2<i32>(0));
+        let high = min(vec2<i32>(position) + RADIUS, vec2<i32>(size) - 1);
+        let inverse_noise = 1.0 / tile.y;
+        for (var y = low.y; y <= high.y; y += 1) {
+            // Corners are cut: an octagon.
+            let reach = RADIUS - max(0, abs(y - i32(position.y)) - RADIUS / 2);
+            let left = max(low.x, i32(position.x) - reach);
+            let right = min(high.x, i32(position.x) + reach);
+            for (var x = left; x <= right; x += 1) {
+                let at = first + u32(x) + size.x * u32(y);
+                let there = unpack_key(keys[both_at(at)]);
+                let offset = vec2<f32>(vec2<i32>(x, y) - vec2<i32>(position));
+                let r2 = dot(offset, offset);
+                let bias = guide_distance(key, there, pixel_size) + denoise.bias.x * r2;
+                let fits = 1.0 / (1.0 + bias * there.frames * inverse_noise);
+                let w = select(0.0, fits * fits * there.frames, r2 > 0.0);
+                total += w;
+                light += w * state[scratch_at(at)];
+            }
         }
+        filtered = light / total;
+        // However sure the tile is, its error must fall with the noise of the samples.
+        let weight = min(tile.x, #{FADE_FRAMES}.0 / (#{FADE_FRAMES}.0 + own_frames));
+        result = mix(own, filtered, weight);
     }
-    light /= total;
-    let scale = albedo.rgb + ALBEDO_FLOOR;
-    counts[half_now() + pixel].y = mean_rgb(light.rgb * scale) / mean_rgb(scale);
-    // However sure the tile is, its error must fall with the noise of the samples.
-    let weight = min(tile.x, #{FADE_FRAMES}.0 / (#{FADE_FRAMES}.0 + own_frames));
-    let result = mix(own, light, weight);
+    counts[half_now() + pixel].y = mean_rgb(filtered.rgb * scale) / mean_rgb(scale);
     output[pixel] = vec4<f32>(result.rgb * scale, clamp(result.a, 0.0, 1.0));
 }
