@@ -3,7 +3,7 @@
 use holovol_render::Gpu;
 use holovol_render::testing::Mutation;
 
-use super::{Check, determinism, draws, frames, functions, grids, guides};
+use super::{Check, denoise, determinism, draws, frames, functions, grids, guides};
 
 /// How a failure to compose or compile a kernel begins, see `RenderError::Internal`.
 const INVALID: &str = "internal error in";
@@ -53,7 +53,46 @@ const WALK: &str = "shared/walk.wgsl";
 const MAJORANT: &str = "majorant.wgsl";
 const TRACE: &str = "trace.wgsl";
 
+const DENOISE: &str = "holovol/holovol.wgsl";
+const GUIDES: &str = "guides/guides.wgsl";
+
 pub const MUTATIONS: &[Caught] = &[
+    caught(
+        DENOISE,
+        "frames += 1.0;",
+        "frames = min(frames + 1.0, 64.0);",
+        denoise::resting_view_is_consistent,
+    ),
+    caught(
+        DENOISE,
+        "if !all_finite(mean) {",
+        "if false {",
+        denoise::wild_samples_are_lost,
+    ),
+    caught(
+        DENOISE,
+        "fetch(key, there, 1u - eye,",
+        "fetch(key, there, 0u,",
+        denoise::swapped_eyes_swap_images,
+    ),
+    caught(
+        DENOISE,
+        "result = mix(own, filtered, weight);",
+        "result = mix(own, filtered, weight * f32(eye));",
+        denoise::equal_eyes_get_equal_images,
+    ),
+    caught(
+        DENOISE,
+        "clamp(mean.rgb / scale,",
+        "clamp(1.03 * mean.rgb / scale,",
+        denoise::the_mean_is_kept,
+    ),
+    caught(
+        GUIDES,
+        "if opacity > 1e-4 {",
+        "if opacity >= 0.0 {",
+        denoise::upheavals_leave_no_trace,
+    ),
     caught(RANDOM, "1664525u", "1664527u", functions::random_numbers),
     caught(
         RANDOM,
