@@ -61,7 +61,7 @@ struct CaseReport {
     paper_seconds: Seconds,
     /// (guides + filter) / trace.
     cost_share: f64,
-    /// Difference of the eyes' errors at corresponding places, RMS: undenoised, ours.
+    /// At rest, by mode: RMS change of the left eye's image over the last frame.
     flicker: BTreeMap<&'static str, f64>,
 }
 
