@@ -54,7 +54,6 @@ const MAJORANT: &str = "majorant.wgsl";
 const TRACE: &str = "trace.wgsl";
 
 const DENOISE: &str = "holovol/holovol.wgsl";
-const GUIDES: &str = "guides/guides.wgsl";
 
 pub const MUTATIONS: &[Caught] = &[
     caught(
@@ -88,9 +87,9 @@ pub const MUTATIONS: &[Caught] = &[
         denoise::the_mean_is_kept,
     ),
     caught(
-        GUIDES,
-        "if opacity > 1e-4 {",
-        "if opacity >= 0.0 {",
+        DENOISE,
+        "found.light /= total;",
+        "found.light /= total - total;",
         denoise::upheavals_leave_no_trace,
     ),
     caught(RANDOM, "1664525u", "1664527u", functions::random_numbers),
