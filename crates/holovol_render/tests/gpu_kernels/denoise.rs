@@ -300,7 +300,8 @@ pub fn upheavals_leave_no_trace(gpu: &Gpu) -> Result<(), String> {
                 2 => camera(17, 33),
                 _ => camera(1, 1),
             };
-            middle.eye += DVec3::new(x, y, z) * 0.5;
+            let far = if frame % 4 == 3 { 0.5 } else { 0.02 };
+            middle.eye += DVec3::new(x, y, z) * far;
             rig.medium = if frame % 5 == 4 {
                 empty.clone()
             } else {

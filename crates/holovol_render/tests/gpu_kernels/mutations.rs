@@ -88,8 +88,8 @@ pub const MUTATIONS: &[Caught] = &[
     ),
     caught(
         DENOISE,
-        "found.light /= total;",
-        "found.light /= total - total;",
+        "filtered = light / total;",
+        "filtered = light / (total - total);",
         denoise::upheavals_leave_no_trace,
     ),
     caught(RANDOM, "1664525u", "1664527u", functions::random_numbers),
