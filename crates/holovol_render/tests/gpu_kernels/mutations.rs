@@ -86,12 +86,6 @@ pub const MUTATIONS: &[Caught] = &[
         "clamp(1.03 * mean.rgb / scale,",
         denoise::the_mean_is_kept,
     ),
-    caught(
-        DENOISE,
-        "filtered = light / total;",
-        "filtered = light / (total - total);",
-        denoise::upheavals_leave_no_trace,
-    ),
     caught(RANDOM, "1664525u", "1664527u", functions::random_numbers),
     caught(
         RANDOM,
