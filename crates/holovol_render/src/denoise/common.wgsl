@@ -44,6 +44,8 @@ struct Denoise {
     // x: gain of the tiles' correction, y: how much a correction shortens the history,
     // z: what radiance counts as dark, squared; w: memory of the filter's weight, per frame.
     tiles: vec4<f32>,
+    // x: bias of light that differs in the last frame's filtered image; yzw: unused.
+    edges: vec4<f32>,
 }
 
 const HISTORY_NONE: u32 = 0u;

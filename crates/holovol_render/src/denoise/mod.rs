@@ -6,6 +6,10 @@
 //! to; in motion it is biased. [`DenoiseMode::Paper`] is Cheng et al. 2023 as printed, biased
 //! always. docs/denoising.md explains both and says what they cost.
 
+#[cfg(any(test, feature = "testing"))]
+pub mod cpu;
+mod passes;
+mod settings;
 mod uniforms;
 
 use std::collections::HashMap;
@@ -19,11 +23,14 @@ use crate::layout::{storage, texture_2d_array, texture_3d, uniform};
 use crate::shader::{ShaderDefs, ShaderFile, shader_file};
 use crate::trace::shader_defs;
 use crate::{FrameImage, FrameTracer, Gpu, Interpolation, Medium, RenderError, View};
+use passes::Passes;
+pub(crate) use passes::pass_defs;
+#[cfg(test)]
+pub(crate) use passes::{HOLOVOL, PAPER};
+pub use settings::{DenoiseMode, DenoiseSettings, PaperSettings};
 use uniforms::{DenoiseUniform, EyeUniform, History, projection};
 
 pub(crate) const GUIDES: ShaderFile = shader_file!("guides/guides.wgsl");
-pub(crate) const HOLOVOL: ShaderFile = shader_file!("holovol/holovol.wgsl");
-pub(crate) const PAPER: ShaderFile = shader_file!("paper/paper.wgsl");
 
 /// Pixels along a side of a tile: those of a workgroup.
 const TILE: u32 = 8;
@@ -39,97 +46,6 @@ const TILES: u64 = 7 + 3 * TILE as u64;
 const KEPT_FRAMES: f32 = 1.6;
 /// What an edit of the medium counts for.
 const EDIT: f32 = 0.8;
-
-/// How noise is taken out.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum DenoiseMode {
-    /// This project's.
-    #[default]
-    Holovol,
-    /// Cheng et al. 2023, as printed.
-    Paper(PaperSettings),
-}
-
-/// What the paper leaves open; the defaults are from the search in docs/benchmarks/denoise.md.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PaperSettings {
-    /// Pixels to each side, 0 to 8.
-    pub radius: u32,
-    /// Standard deviation of the spatial filter, pixels.
-    pub sigma: f32,
-    /// How fast weights fall with squared difference of albedo · opacity.
-    pub albedo: f32,
-    /// How fast weights fall with 1 − cosine between gradients.
-    pub gradient: f32,
-    /// How fast weights fall with squared difference of depth, in spreads and pixels.
-    pub depth: f32,
-}
-
-impl Default for PaperSettings {
-    fn default() -> Self {
-        Self {
-            radius: 3,
-            sigma: 1.5,
-            albedo: 10.0,
-            gradient: 0.5,
-            depth: 0.05,
-        }
-    }
-}
-
-/// Settings of [`DenoiseMode::Holovol`]; "bias" is a squared relative change of the estimate.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DenoiseSettings {
-    /// Which denoiser.
-    pub mode: DenoiseMode,
-    /// Pixels to each side of the last filter, 0 to 8.
-    pub radius: u32,
-    /// Frames of history in motion, at most.
-    pub max_frames: f32,
-    /// Bias expected of a pixel's distance.
-    pub distance_bias: f32,
-    /// Bias expected of normals at a right angle.
-    pub normal_bias: f32,
-    /// Bias expected of depths apart by their spreads.
-    pub depth_bias: f32,
-    /// Bias expected of opacities, one of them 0.
-    pub opacity_bias: f32,
-    /// Bias expected of the other eye.
-    pub eye_bias: f32,
-    /// How much guides of the last frame, of the other eye, must agree.
-    pub strictness: [f32; 2],
-    /// Relative variance of one frame's samples before it is measured.
-    pub first_variance: f32,
-    /// Signal-to-noise (squared, less 1) of a lag at which half of it is corrected.
-    pub correction: f32,
-    /// How much a correction shortens the history.
-    pub shortening: f32,
-    /// Radiance below which errors count absolutely.
-    pub dark: f32,
-    /// Memory of the filter's weight, per frame.
-    pub memory: f32,
-}
-
-impl Default for DenoiseSettings {
-    fn default() -> Self {
-        Self {
-            mode: DenoiseMode::Holovol,
-            radius: 3,
-            max_frames: 32.0,
-            distance_bias: 0.005,
-            normal_bias: 0.04,
-            depth_bias: 0.003,
-            opacity_bias: 0.5,
-            eye_bias: 0.003,
-            strictness: [30.0, 60.0],
-            first_variance: 0.07,
-            correction: 3.0,
-            shortening: 1.0,
-            dark: 0.1,
-            memory: 0.8,
-        }
-    }
-}
 
 /// One frame to denoise.
 #[derive(Clone, Copy, Debug)]
@@ -154,8 +70,7 @@ struct Before {
 pub struct Denoiser {
     gpu: Gpu,
     settings: DenoiseSettings,
-    layout: wgpu::BindGroupLayout,
-    passes: Vec<(&'static str, wgpu::ComputePipeline)>,
+    passes: Passes,
     guides: HashMap<ShaderDefs, (wgpu::BindGroupLayout, wgpu::ComputePipeline)>,
     buffers: Option<Buffers>,
     before: Option<Before>,
@@ -179,38 +94,10 @@ impl Denoiser {
     /// # Errors
     /// If the device fails.
     pub fn new(gpu: &Gpu, settings: DenoiseSettings) -> Result<Self, RenderError> {
-        let types = [uniform()]
-            .into_iter()
-            .chain([storage(false); 4])
-            .chain([storage(true), storage(false)]);
-        let types: Vec<_> = (16..).zip(types).collect();
-        let layout = gpu.numbered_layout("holovol denoise", &types)?;
-        let (file, entries, radius): (_, &[&'static str], _) = match settings.mode {
-            DenoiseMode::Holovol => (
-                &HOLOVOL,
-                &[
-                    "reproject",
-                    "add_rows",
-                    "judge",
-                    "blend",
-                    "stereo",
-                    "gather",
-                ],
-                settings.radius,
-            ),
-            DenoiseMode::Paper(paper) => {
-                (&PAPER, &["near", "first_step", "second_step"], paper.radius)
-            }
-        };
-        let defs = pass_defs(radius.min(8));
-        let passes = entries
-            .iter()
-            .map(|&entry| Ok((entry, gpu.pipeline(file, &defs, entry, &layout)?)))
-            .collect::<Result<_, RenderError>>()?;
+        let passes = Passes::new(gpu, settings.mode, settings.pass_radius(), None)?;
         Ok(Self {
             gpu: gpu.clone(),
             settings,
-            layout,
             passes,
             guides: HashMap::new(),
             buffers: None,
@@ -322,35 +209,17 @@ impl Denoiser {
         let Some(buffers) = &self.buffers else {
             return Ok(());
         };
-        let group = self.gpu.scoped("denoising", 0, || {
-            let resources = [
-                &buffers.uniform,
-                &buffers.state,
-                &buffers.keys,
-                &buffers.counts,
-                &buffers.tiles,
-                tracer.accumulators(),
-                &buffers.output,
-            ];
-            let resources = (16..).zip(resources.map(|buffer| buffer.as_entire_binding()));
-            self.gpu
-                .numbered_group("holovol denoise", &self.layout, resources)
-        })?;
-        let [x, y] = workgroups(&buffers.sizes);
-        let eyes = buffers.sizes.len() as u32;
-        let mut pass = compute_pass(encoder, "holovol denoise");
-        pass.set_bind_group(0, &group, &[]);
-        for (name, pipeline) in &self.passes {
-            pass.set_pipeline(pipeline);
-            match *name {
-                // A lane takes a row of a tile.
-                "reproject" => pass.dispatch_workgroups(x.div_ceil(TILE), y, eyes),
-                "add_rows" => pass.dispatch_workgroups((x * y * eyes).div_ceil(64), 1, 1),
-                "judge" => pass.dispatch_workgroups((x * y).div_ceil(64), eyes, 1),
-                _ => pass.dispatch_workgroups(x, y, eyes),
-            }
-        }
-        Ok(())
+        let resources = [
+            &buffers.uniform,
+            &buffers.state,
+            &buffers.keys,
+            &buffers.counts,
+            &buffers.tiles,
+            tracer.accumulators(),
+            &buffers.output,
+        ];
+        self.passes
+            .record(&self.gpu, encoder, &buffers.sizes, resources)
     }
 
     fn is_same(&self, images: &[FrameImage], medium: &Medium) -> bool {
@@ -414,23 +283,7 @@ impl Denoiser {
         uniform.counts = [images.len() as u32, pixels, tiles, 0];
         let before = if same { self.half } else { 1 - self.half };
         uniform.halves = [self.half, before, self.tile_half, 0];
-        uniform.bias = match settings.mode {
-            DenoiseMode::Holovol => [
-                settings.distance_bias,
-                settings.normal_bias,
-                settings.depth_bias,
-                settings.opacity_bias,
-            ],
-            DenoiseMode::Paper(paper) => [paper.sigma, paper.albedo, paper.gradient, paper.depth],
-        };
-        let [frames, eyes] = settings.strictness;
-        uniform.across = [frames, eyes, settings.eye_bias, settings.first_variance];
-        uniform.tiles = [
-            settings.correction,
-            settings.shortening,
-            settings.dark * settings.dark,
-            settings.memory,
-        ];
+        settings.fill(&mut uniform);
         uniform
     }
 
@@ -539,10 +392,6 @@ impl Denoiser {
         let pixels = state.len() / STATE as usize;
         Ok(state[2 * pixels..3 * pixels].to_vec())
     }
-}
-
-pub(crate) fn pass_defs(radius: u32) -> ShaderDefs {
-    vec![("RADIUS", radius), ("FADE_FRAMES", FADE_FRAMES)]
 }
 
 /// Whether light scattered in the old medium says little of the new one. Rotation and scale of the

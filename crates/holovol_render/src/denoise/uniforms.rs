@@ -29,6 +29,7 @@ pub(super) struct DenoiseUniform {
     pub(super) bias: [f32; 4],
     pub(super) across: [f32; 4],
     pub(super) tiles: [f32; 4],
+    pub(super) edges: [f32; 4],
 }
 
 /// What the passes may take from the frame before.

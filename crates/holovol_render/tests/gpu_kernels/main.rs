@@ -2,6 +2,7 @@
 //! draw what they evaluate, and bound what they skip. Then damages them, to see that it shows.
 
 mod denoise;
+mod denoise_twins;
 mod determinism;
 mod draws;
 mod frames;
@@ -59,6 +60,8 @@ const CHECKS: &[(&str, Check)] = &[
     ("paths_end_at_meshes", frames::paths_end_at_meshes),
     ("clip_planes_cut", frames::clip_planes_cut),
     ("only_changes_begin_anew", frames::only_changes_begin_anew),
+    ("denoise_paper_equals_the_twin", denoise_twins::paper),
+    ("denoise_holovol_equals_the_twin", denoise_twins::holovol),
     (
         "denoised_resting_view_is_consistent",
         denoise::resting_view_is_consistent,

@@ -295,6 +295,15 @@ fn stereo(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
     keys[both_at(pixel)] = with_frames(words, frames);
 }
 
+// What the last frame's filter found says where light changes though guides don't: shadows.
+// Guides are (frames, filtered light) of the history.
+fn light_distance(a: vec2<f32>, b: vec2<f32>) -> f32 {
+    let difference = a.y - b.y;
+    let trust = min(0.5 * min(a.x, b.x), 1.0);
+    let mean = 0.5 * (a.y * a.y + b.y * b.y) + denoise.tiles.z;
+    return denoise.edges.x * trust * difference * difference / mean;
+}
+
 // 5. A filter over neighbours, each weighed by its noise and by what its guides differ.
 @compute @workgroup_size(64)
 fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
@@ -322,6 +331,7 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
         let low = max(vec2<i32>(position) - RADIUS, vec2<i32>(0));
         let high = min(vec2<i32>(position) + RADIUS, vec2<i32>(size) - 1);
         let inverse_noise = 1.0 / tile.y;
+        let guide = counts[both_at(pixel)];
         for (var y = low.y; y <= high.y; y += 1) {
             // Corners are cut: an octagon.
             let reach = RADIUS - max(0, abs(y - i32(position.y)) - RADIUS / 2);
@@ -332,7 +342,8 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
                 let there = unpack_key(keys[both_at(at)]);
                 let offset = vec2<f32>(vec2<i32>(x, y) - vec2<i32>(position));
                 let r2 = dot(offset, offset);
-                let bias = guide_distance(key, there, pixel_size) + denoise.bias.x * r2;
+                let bias = guide_distance(key, there, pixel_size) + denoise.bias.x * r2
+                    + light_distance(guide, counts[both_at(at)]);
                 let fits = 1.0 / (1.0 + bias * there.frames * inverse_noise);
                 let w = select(0.0, fits * fits * there.frames, r2 > 0.0);
                 total += w;
