@@ -120,6 +120,18 @@ pub const MUTATIONS: &[Caught] = &[
     ),
     caught(
         DENOISE,
+        "(light - old) / (frames + 1.0)",
+        "(light - old) / frames",
+        denoise::upheavals_leave_no_trace,
+    ),
+    caught(
+        DENOISE,
+        "var result = own;",
+        "var result = own + 1e-3;",
+        denoise::upheavals_leave_no_trace,
+    ),
+    caught(
+        DENOISE,
         "frames += 1.0;",
         "frames = min(frames + 1.0, 64.0);",
         denoise::resting_view_is_consistent,
