@@ -45,7 +45,7 @@ const TILES: u64 = 7 + 3 * TILE as u64;
 /// ghost is below a tenth after four frames.
 const KEPT_FRAMES: f32 = 1.6;
 /// What an edit of the medium counts for.
-const EDIT: f32 = 0.8;
+const EDIT: f32 = 0.85;
 
 /// One frame to denoise.
 #[derive(Clone, Copy, Debug)]
@@ -374,6 +374,34 @@ impl Denoiser {
             image.to_vec()
         });
         Ok(images.collect())
+    }
+
+    /// The guides of both eyes: depth along the eye's axis and its spread, metres; 0 where nothing
+    /// was met.
+    ///
+    /// # Errors
+    /// If the device is lost.
+    #[doc(hidden)]
+    pub fn read_depths(&self) -> Result<Vec<[f32; 2]>, RenderError> {
+        let Some(buffers) = &self.buffers else {
+            return Ok(Vec::new());
+        };
+        let bytes = self
+            .gpu
+            .read_buffer("the guides", &buffers.keys, buffers.keys.size())?;
+        let keys: Vec<[u32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
+        let pixels = keys.len() / KEYS as usize;
+        let now = self.half as usize * pixels;
+        let depth = |words: &[u32; 4]| {
+            let spread = half::f16::from_bits(words[3] as u16).to_f32();
+            let depth = f32::from_bits(words[2]);
+            if f32::from_bits(words[0]) > 0.0 {
+                [depth, depth * spread]
+            } else {
+                [0.0; 2]
+            }
+        };
+        Ok(keys[now..now + pixels].iter().map(depth).collect())
     }
 
     /// The guides of both eyes: albedo · opacity, and opacity.

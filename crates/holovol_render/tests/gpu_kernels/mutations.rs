@@ -120,6 +120,12 @@ pub const MUTATIONS: &[Caught] = &[
     ),
     caught(
         DENOISE,
+        "before.frames *= before.fit * before.fit;",
+        "before.frames *= before.fit;",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
         "(light - old) / (frames + 1.0)",
         "(light - old) / frames",
         denoise::upheavals_leave_no_trace,

@@ -13,6 +13,7 @@ struct Fetched {
     light: Vec4,
     frames: f32,
     filtered: f32,
+    fit: f32,
 }
 
 impl Memory {
@@ -100,6 +101,7 @@ impl Memory {
         }
         found.light /= total;
         found.filtered /= total;
+        found.fit = total;
         found
     }
 
@@ -118,6 +120,7 @@ impl Memory {
                 light: self.state[at],
                 frames: self.counts[at].x,
                 filtered: self.counts[at].y,
+                fit: 1.0,
             };
         } else if self.history(eye) == History::Moved as u32 && key.albedo > 0.0 {
             let here = self.position(eye, position, key.depth);
@@ -126,8 +129,11 @@ impl Memory {
             let strictness = self.uniform.across[0];
             before = self.fetch(turned, there, eye, self.before(), strictness);
         }
-        let [most, factor, ..] = self.eye(eye).history;
+        let [most, factor, change, _] = self.eye(eye).history;
         before.frames = (before.frames * factor).min(most);
+        if change > 0.0 {
+            before.frames *= before.fit * before.fit;
+        }
         before
     }
 

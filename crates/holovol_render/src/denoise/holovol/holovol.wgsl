@@ -18,6 +18,8 @@ struct Fetched {
     light: vec4<f32>,
     frames: f32,
     filtered: f32,
+    // How well its guides fit, 0 to 1.
+    fit: f32,
 }
 
 fn pixel_of(group: vec3<u32>, local: u32) -> vec2<u32> {
@@ -26,7 +28,7 @@ fn pixel_of(group: vec3<u32>, local: u32) -> vec2<u32> {
 
 // Bilinear over four pixels whose guides fit; their weight is that of the history.
 fn fetch(key: Key, position: vec3<f32>, eye: u32, keys_first: u32, state_first: u32, counts_first: u32, strictness: f32) -> Fetched {
-    var found = Fetched(vec4<f32>(0.0), 0.0, 0.0);
+    var found = Fetched(vec4<f32>(0.0), 0.0, 0.0, 0.0);
     let size = vec2<i32>(denoise.eyes[eye].image.xy);
     let pixel_size = denoise.eyes[eye].turn_x.w;
     var here = key;
@@ -58,10 +60,11 @@ fn fetch(key: Key, position: vec3<f32>, eye: u32, keys_first: u32, state_first: 
         found.filtered += w * count.y;
     }
     if total < NO_WEIGHT {
-        return Fetched(vec4<f32>(0.0), 0.0, 0.0);
+        return Fetched(vec4<f32>(0.0), 0.0, 0.0, 0.0);
     }
     found.light /= total;
     found.filtered /= total;
+    found.fit = total;
     return found;
 }
 
@@ -128,10 +131,10 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
 
 fn history_of(eye: u32, position: vec2<u32>, pixel: u32) -> Fetched {
     let history = denoise.eyes[eye].frame.y;
-    var before = Fetched(vec4<f32>(0.0), 0.0, 0.0);
+    var before = Fetched(vec4<f32>(0.0), 0.0, 0.0, 0.0);
     if history == HISTORY_SAME {
         let count = counts[half_before() + pixel];
-        before = Fetched(state[half_before() + pixel], count.x, count.y);
+        before = Fetched(state[half_before() + pixel], count.x, count.y, 1.0);
     } else if history == HISTORY_MOVED {
         let words = keys[half_now() + pixel];
         for (var once = bitcast<f32>(words.x) > 0.0; once; once = false) {
@@ -152,6 +155,10 @@ fn history_of(eye: u32, position: vec2<u32>, pixel: u32) -> Fetched {
         }
     }
     before.frames = min(before.frames * denoise.eyes[eye].history.y, denoise.eyes[eye].history.x);
+    // After an edit what is left is for pixels that it did not touch.
+    if denoise.eyes[eye].history.z > 0.0 {
+        before.frames *= before.fit * before.fit;
+    }
     return before;
 }
 
