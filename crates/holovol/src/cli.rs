@@ -528,7 +528,8 @@ pub struct BenchLightArgs {
 #[command(after_long_help = "\
 For each scene, seen by two eyes: relMSE and FLIP after 1, 2, 8 and 32 frames at rest, with a slow
 and a fast head, a turning volume and a turning light; ghosts after a lamp and a transfer function
-have switched; time per stage. On standard output comes one line of JSON.
+have switched; how far the eyes are apart, contrast at the scale of a pixel, flicker, places that
+come into view; time per stage. On standard output comes one line of JSON.
 
 Example:
   holovol bench denoise iguana_studio.json --oidn oidnDenoise --report denoise.md")]
@@ -551,6 +552,9 @@ pub struct BenchDenoiseArgs {
     /// Seed of the noisy frames
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
+    /// Measure flicker in motion too, which takes another reference per case
+    #[arg(long)]
+    pub flicker: bool,
     /// The program of Open Image Denoise, to compare with
     #[arg(long, value_name = "oidnDenoise")]
     pub oidn: Option<PathBuf>,

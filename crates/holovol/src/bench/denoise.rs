@@ -5,26 +5,34 @@
 //! (image − half 1)·(image − half 2) is the squared error without the reference's own noise.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use glam::{DMat4, DVec3};
 use holovol_light::EnvironmentMap;
-use holovol_reference::{Image, measures};
+use holovol_reference::Image;
 use holovol_render::{
-    DenoiseMode, DenoiseSettings, Denoiser, Gpu, PaperSettings, TraceOptions, Tracer,
+    DenoiseMode, DenoiseSettings, Denoiser, Gpu, PaperSettings, TraceOptions, Tracer, View,
 };
 use holovol_scene::{Camera, Scene, Sequence};
 use holovol_volume::{TransferFunction, TransferPoint};
 use serde::Serialize;
 
+use super::denoise_measures::{
+    self as measures, Reference, both, correspondences, disagreement as apart, disoccluded, flip,
+    ghost, middle, relmse, relmse_where,
+};
+use super::denoise_oidn::best_oidn;
+use super::denoise_report;
 use crate::cli::BenchDenoiseArgs;
 use crate::live::{Live, Seconds};
 use crate::progress::Bar;
 use crate::{Exit, Failure, output, print_json};
 
 /// Frames after which runs are judged.
-const FRAMES: [u32; 4] = [1, 2, 8, 32];
+pub(super) const FRAMES: [u32; 4] = [1, 2, 8, 32];
+/// Frames after which contrast and the eyes are compared.
+const SETTLED: u32 = 8;
+/// Frames since places came into view, for their error against that of a fresh start.
+const SINCE_HIDDEN: u32 = 4;
 /// Frames under the old light or transfer function before a switch.
 const BEFORE_SWITCH: u32 = 12;
 /// Frames after a switch at which ghosts are measured.
@@ -33,53 +41,67 @@ const AFTER_SWITCH: [u32; 4] = [1, 2, 4, 8];
 const IPD: f64 = 0.063;
 
 #[derive(Debug, Serialize)]
-struct Report {
-    adapter: String,
-    driver: String,
-    spp: u32,
-    reference_spp: u32,
-    scenes: Vec<SceneReport>,
+pub(super) struct Report {
+    pub(super) adapter: String,
+    pub(super) driver: String,
+    pub(super) spp: u32,
+    pub(super) reference_spp: u32,
+    pub(super) scenes: Vec<SceneReport>,
 }
 
 #[derive(Debug, Serialize)]
-struct SceneReport {
-    scene: String,
-    cases: Vec<CaseReport>,
-    switches: Vec<SwitchReport>,
+pub(super) struct SceneReport {
+    pub(super) scene: String,
+    pub(super) cases: Vec<CaseReport>,
+    pub(super) switches: Vec<SwitchReport>,
 }
 
 #[derive(Debug, Serialize)]
-struct CaseReport {
-    case: &'static str,
-    noisy_relmse: f64,
-    noisy_flip: f64,
+pub(super) struct CaseReport {
+    pub(super) case: &'static str,
+    pub(super) noisy_relmse: f64,
+    pub(super) noisy_flip: f64,
     /// The best of its variants; its name.
-    oidn: Option<(String, f64, f64)>,
-    results: Vec<Outcome>,
+    pub(super) oidn: Option<(String, f64, f64)>,
+    pub(super) results: Vec<Outcome>,
     /// Means over the frames of the longest run.
-    seconds: Seconds,
-    paper_seconds: Seconds,
+    pub(super) seconds: Seconds,
+    pub(super) paper_seconds: Seconds,
     /// (guides + filter) / trace.
-    cost_share: f64,
-    /// At rest, by mode: RMS change of the left eye's image over the last frame.
-    flicker: BTreeMap<&'static str, f64>,
+    pub(super) cost_share: f64,
+    /// By mode: RMS change of the left eye's error over the last frame.
+    pub(super) flicker: BTreeMap<&'static str, f64>,
+    /// By mode: RMS difference of the eyes' relative errors after 8 frames.
+    pub(super) disagreement: BTreeMap<&'static str, f64>,
+    /// By mode: the left eye's contrast at the scale of a pixel, 1 for all of the reference's.
+    pub(super) contrast: BTreeMap<&'static str, f64>,
+    pub(super) disoccluded: Option<Disoccluded>,
 }
 
 #[derive(Debug, Serialize)]
-struct Outcome {
-    mode: &'static str,
-    frames: u32,
-    relmse: f64,
-    flip: f64,
+pub(super) struct Outcome {
+    pub(super) mode: &'static str,
+    pub(super) frames: u32,
+    pub(super) relmse: f64,
+    pub(super) flip: f64,
 }
 
 #[derive(Debug, Serialize)]
-struct SwitchReport {
-    switch: &'static str,
-    mode: &'static str,
-    frames: u32,
-    ghost: f64,
-    relmse: f64,
+pub(super) struct SwitchReport {
+    pub(super) switch: &'static str,
+    pub(super) mode: &'static str,
+    pub(super) frames: u32,
+    pub(super) ghost: f64,
+    pub(super) relmse: f64,
+}
+
+/// The left eye's pixels whose places came into view in the last four frames.
+#[derive(Debug, Serialize)]
+pub(super) struct Disoccluded {
+    pub(super) pixels: usize,
+    pub(super) relmse: f64,
+    /// At the same pixels, of a denoiser that began four frames ago.
+    pub(super) fresh: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -108,6 +130,10 @@ impl Case {
             Self::Volume => "volume turning",
             Self::Light => "light turning",
         }
+    }
+
+    fn is_head(self) -> bool {
+        matches!(self, Self::SlowHead | Self::FastHead)
     }
 
     /// The scene `back` frames before its end.
@@ -141,9 +167,6 @@ impl Case {
     }
 }
 
-/// Two halves of each eye's reference.
-type Reference = [[Image; 2]; 2];
-
 pub(crate) fn run(args: &BenchDenoiseArgs) -> Result<(), Failure> {
     if let Some(path) = &args.report {
         output::check(path, "md", "--report")?;
@@ -171,7 +194,7 @@ pub(crate) fn run(args: &BenchDenoiseArgs) -> Result<(), Failure> {
         scenes,
     };
     if let Some(path) = &args.report {
-        output::write_text(&markdown(&report), path)?;
+        output::write_text(&denoise_report::markdown(&report), path)?;
     }
     print_json(&report)
 }
@@ -228,27 +251,26 @@ fn reference(
     cameras: &[Camera; 2],
     spp: u32,
 ) -> Result<Reference, Failure> {
-    let eye = |camera: Camera| -> Result<[Image; 2], Failure> {
-        let scene = Scene {
-            camera,
-            ..scene.clone()
-        };
-        let half = |seed: u64| -> Result<Image, Failure> {
-            let options = TraceOptions {
-                seed,
-                ..Default::default()
-            };
-            let mut tracer = Tracer::new(gpu, &scene, &options)?;
-            tracer.accumulate(spp)?;
-            Ok(Image::new(
-                camera.width,
-                camera.height,
-                tracer.read_image()?,
-            ))
-        };
-        Ok([half(900_001)?, half(900_002)?])
+    let [left, right] = cameras.map(|camera| halves(gpu, scene, camera, spp));
+    Ok([left?, right?])
+}
+
+fn halves(gpu: &Gpu, scene: &Scene, camera: Camera, spp: u32) -> Result<[Image; 2], Failure> {
+    let scene = Scene {
+        camera,
+        ..scene.clone()
     };
-    Ok([eye(cameras[0])?, eye(cameras[1])?])
+    let half = |seed: u64| -> Result<Image, Failure> {
+        let options = TraceOptions {
+            seed,
+            ..Default::default()
+        };
+        let mut tracer = Tracer::new(gpu, &scene, &options)?;
+        tracer.accumulate(spp)?;
+        let pixels = tracer.read_image()?;
+        Ok(Image::new(camera.width, camera.height, pixels))
+    };
+    Ok([half(900_001)?, half(900_002)?])
 }
 
 fn measure_case(
@@ -267,8 +289,15 @@ fn measure_case(
             runs.push((mode, frames, live.denoiser(settings)?));
         }
     }
+    let fresh = runs.len();
+    runs.push((
+        "holovol",
+        SINCE_HIDDEN,
+        live.denoiser(settings(DenoiseMode::Holovol))?,
+    ));
     let mut times: BTreeMap<&'static str, Vec<Seconds>> = BTreeMap::new();
-    let mut last: BTreeMap<&'static str, Vec<Vec<[f32; 4]>>> = BTreeMap::new();
+    let mut last: BTreeMap<&'static str, Vec<Image>> = BTreeMap::new();
+    let mut hidden = None;
     for back in (0..longest).rev() {
         let scene = case.scene(end, back);
         let cameras = scene.camera.stereo(IPD);
@@ -279,37 +308,66 @@ fn measure_case(
             }
             let mut seconds = live.denoise(denoiser, 2, change)?;
             seconds.trace = trace;
-            if *frames == longest {
-                times.entry(*mode).or_default().push(seconds);
-                if back < 2 {
-                    last.entry(*mode)
-                        .or_default()
-                        .extend(denoiser.read_images()?);
-                }
+            if *frames != longest {
+                continue;
+            }
+            times.entry(*mode).or_default().push(seconds);
+            if back < 2 {
+                let left = denoiser.read_images()?.swap_remove(0);
+                last.entry(*mode).or_default().push(image(end, left));
+            }
+            if back == SINCE_HIDDEN && case.is_head() {
+                hidden = Some((View::from_camera(&cameras[0]), denoiser.read_depths()?));
             }
         }
     }
     let noisy: Vec<Image> = (0..2)
         .map(|slot| Ok(image(end, live.noisy(slot)?)))
         .collect::<Result<_, Failure>>()?;
+    let views = end
+        .camera
+        .stereo(IPD)
+        .map(|camera| View::from_camera(&camera));
+    let depths = runs[0].2.read_depths()?;
+    let left_depths = &depths[..noisy[0].pixels().len()];
+    let places = correspondences(&views[0], left_depths, &views[1]);
+    let mut disagreement = BTreeMap::from([("noisy", apart(&noisy, reference, &places))]);
+    let mut contrast = BTreeMap::new();
     let mut results = Vec::new();
+    let mut outputs = Vec::new();
     for (mode, frames, denoiser) in &runs {
         let images: Vec<Image> = denoiser
             .read_images()?
             .into_iter()
             .map(|pixels| image(end, pixels))
             .collect();
-        if let Some(folder) = &args.pictures {
-            let stem = format!("{name}.{}.{mode}.{frames}", case.name().replace(' ', "_"));
-            output::write_exr(&images[0], &folder.join(format!("{stem}.exr")))?;
+        if *frames == SETTLED {
+            disagreement.insert(*mode, apart(&images, reference, &places));
+            contrast.insert(*mode, measures::contrast(&images[0], &reference[0]));
         }
-        results.push(Outcome {
-            mode,
-            frames: *frames,
-            relmse: both(&images, reference, relmse),
-            flip: both(&images, reference, flip),
-        });
+        if FRAMES.contains(frames) {
+            if let Some(folder) = &args.pictures {
+                let stem = format!("{name}.{}.{mode}.{frames}", case.name().replace(' ', "_"));
+                output::write_exr(&images[0], &folder.join(format!("{stem}.exr")))?;
+            }
+            results.push(Outcome {
+                mode,
+                frames: *frames,
+                relmse: both(&images, reference, relmse),
+                flip: both(&images, reference, flip),
+            });
+        }
+        outputs.push(images);
     }
+    let disoccluded = hidden.map(|(view, before)| {
+        let wanted = disoccluded(&views[0], left_depths, &view, &before);
+        let of = |run: usize| relmse_where(&outputs[run][0], &reference[0], &wanted);
+        Disoccluded {
+            pixels: wanted.iter().filter(|&&wanted| wanted).count(),
+            relmse: of(FRAMES.len() - 1),
+            fresh: of(fresh),
+        }
+    });
     if let Some(folder) = &args.pictures {
         let stem = format!("{name}.{}", case.name().replace(' ', "_"));
         output::write_exr(&noisy[0], &folder.join(format!("{stem}.noisy.exr")))?;
@@ -319,19 +377,15 @@ fn measure_case(
         )?;
     }
     let albedo = runs[0].2.read_albedo()?;
-    let oidn = match &args.oidn {
-        Some(program) => Some(best_oidn(program, &noisy, &albedo, reference)?),
-        None => None,
-    };
-    let mut flicker = BTreeMap::new();
-    for (mode, images) in &last {
-        // Frames back 1 and 0, two eyes each; at rest both have the same truth.
-        if case == Case::Rest
-            && let [a, _, b, _] = images.as_slice()
-        {
-            flicker.insert(*mode, rms_change(a, b));
-        }
+    let mut oidn = None;
+    if let Some(program) = &args.oidn {
+        let (variant, images) = best_oidn(program, &noisy, &albedo, reference)?;
+        disagreement.insert("oidn", apart(&images, reference, &places));
+        contrast.insert("oidn", measures::contrast(&images[0], &reference[0]));
+        let [relmse, flip] = [relmse, flip].map(|of| both(&images, reference, of));
+        oidn = Some((variant, relmse, flip));
     }
+    let flicker = flicker(gpu, case, end, reference, &last, args)?;
     let mean = |mode: &str| {
         let times = times.get(mode).map_or(&[][..], Vec::as_slice);
         let n = times.len().max(1) as f64;
@@ -353,7 +407,39 @@ fn measure_case(
         paper_seconds: mean("paper"),
         cost_share: (seconds.guides + seconds.filter) / seconds.trace.max(1e-12),
         flicker,
+        disagreement,
+        contrast,
+        disoccluded,
     })
+}
+
+/// By mode, from the left eye's last two images; in motion only if asked for, since the frame
+/// before needs a reference of its own.
+fn flicker(
+    gpu: &Gpu,
+    case: Case,
+    end: &Scene,
+    reference: &Reference,
+    last: &BTreeMap<&'static str, Vec<Image>>,
+    args: &BenchDenoiseArgs,
+) -> Result<BTreeMap<&'static str, f64>, Failure> {
+    let before = match case {
+        Case::Rest => reference[0].clone(),
+        _ if !args.flicker => return Ok(BTreeMap::new()),
+        _ => {
+            let scene = case.scene(end, 1);
+            let [left, _] = scene.camera.stereo(IPD);
+            halves(gpu, &scene, left, args.reference_spp)?
+        }
+    };
+    let of = |(mode, images): (&&'static str, &Vec<Image>)| {
+        let [a, b] = images.as_slice() else {
+            return None;
+        };
+        let change = measures::error_change([a, b], [&before, &reference[0]]);
+        Some((*mode, change))
+    };
+    Ok(last.iter().filter_map(of).collect())
 }
 
 fn measure_switch(
@@ -383,12 +469,18 @@ fn measure_switch(
     for (mode, settings) in modes() {
         denoisers.push((mode, live.denoiser(settings)?));
     }
+    // What of the coefficient is blur, and no ghost: a denoiser that has never seen the old image.
+    let fresh = settings(DenoiseMode::Holovol);
+    denoisers.push(("fresh", live.denoiser(fresh)?));
     let mut reports = Vec::new();
     let last = AFTER_SWITCH[AFTER_SWITCH.len() - 1];
     for index in 0..BEFORE_SWITCH + last {
         let scene = if index < BEFORE_SWITCH { &old } else { end };
         let (_, change) = live.trace(scene, &cameras, args.spp)?;
         for (mode, denoiser) in &mut denoisers {
+            if *mode == "fresh" && index < BEFORE_SWITCH {
+                continue;
+            }
             live.denoise(denoiser, 2, change)?;
             let after = (index + 1).saturating_sub(BEFORE_SWITCH);
             if AFTER_SWITCH.contains(&after) {
@@ -445,222 +537,4 @@ fn edited(function: &TransferFunction) -> Result<TransferFunction, String> {
 
 fn image(scene: &Scene, pixels: Vec<[f32; 4]>) -> Image {
     Image::new(scene.camera.width, scene.camera.height, pixels)
-}
-
-fn middle(halves: &[Image; 2]) -> Image {
-    let pixels = halves[0].pixels().iter().zip(halves[1].pixels());
-    let pixels = pixels
-        .map(|(a, b)| std::array::from_fn(|c| 0.5 * (a[c] + b[c])))
-        .collect();
-    Image::new(halves[0].width(), halves[0].height(), pixels)
-}
-
-fn both(images: &[Image], reference: &Reference, of: fn(&Image, &[Image; 2]) -> f64) -> f64 {
-    let sum: f64 = images
-        .iter()
-        .zip(reference)
-        .map(|(image, halves)| of(image, halves))
-        .sum();
-    sum / images.len().max(1) as f64
-}
-
-/// Without the reference's noise: see the module.
-fn relmse(image: &Image, halves: &[Image; 2]) -> f64 {
-    let [one, two] = halves;
-    let mut sum = 0.0;
-    for ((a, r), s) in image.pixels().iter().zip(one.pixels()).zip(two.pixels()) {
-        for c in 0..3 {
-            let (a, r, s) = (f64::from(a[c]), f64::from(r[c]), f64::from(s[c]));
-            let b = 0.5 * (r + s);
-            sum += (a - r) * (a - s) / (b * b + 0.01);
-        }
-    }
-    sum / (3 * image.pixels().len()) as f64
-}
-
-fn flip(image: &Image, halves: &[Image; 2]) -> f64 {
-    measures::flip(image, &middle(halves)).unwrap_or(f64::NAN)
-}
-
-/// Coefficient of (output − new) on (old − new); the halves keep the reference's noise out.
-fn ghost(image: &Image, halves: &[Image; 2], old: &Image) -> f64 {
-    let (mut top, mut bottom) = (0.0, 0.0);
-    let [one, two] = halves;
-    for (i, a) in image.pixels().iter().enumerate() {
-        for c in 0..3 {
-            let [a, r, s, o] = [a, &one.pixels()[i], &two.pixels()[i], &old.pixels()[i]]
-                .map(|pixel| f64::from(pixel[c]));
-            top += (a - r) * (o - s);
-            bottom += (o - r) * (o - s);
-        }
-    }
-    top / bottom.max(1e-30)
-}
-
-fn rms_change(a: &[[f32; 4]], b: &[[f32; 4]]) -> f64 {
-    let mut sum = 0.0;
-    for (a, b) in a.iter().zip(b) {
-        for c in 0..3 {
-            sum += f64::from(a[c] - b[c]).powi(2);
-        }
-    }
-    (sum / (3 * a.len().max(1)) as f64).sqrt()
-}
-
-/// Open Image Denoise on each eye's noisy frame: its best variant over colour alone, and with the
-/// albedo guide, taken as noisy or as clean.
-fn best_oidn(
-    program: &Path,
-    noisy: &[Image],
-    albedo: &[[f32; 4]],
-    reference: &Reference,
-) -> Result<(String, f64, f64), Failure> {
-    let mut best: Option<(String, f64, f64)> = None;
-    for (variant, aux) in [
-        ("colour", None),
-        ("albedo", Some(false)),
-        ("clean albedo", Some(true)),
-    ] {
-        let mut images = Vec::new();
-        for (eye, image) in noisy.iter().enumerate() {
-            let pixels = image.pixels().len();
-            let guide = &albedo[eye * pixels..(eye + 1) * pixels];
-            images.push(oidn(program, image, aux.map(|clean| (guide, clean)))?);
-        }
-        let error = both(&images, reference, relmse);
-        if best.as_ref().is_none_or(|(_, least, _)| error < *least) {
-            best = Some((variant.into(), error, both(&images, reference, flip)));
-        }
-    }
-    best.ok_or_else(|| Failure::new(Exit::Internal, "no variant of Open Image Denoise was run"))
-}
-
-fn oidn(
-    program: &Path,
-    noisy: &Image,
-    guide: Option<(&[[f32; 4]], bool)>,
-) -> Result<Image, Failure> {
-    let folder = std::env::temp_dir().join(format!("holovol-oidn-{}", std::process::id()));
-    let failed = |reason: String| {
-        Failure::new(
-            Exit::Input,
-            format!("--oidn: {}: {reason}", program.display()),
-        )
-    };
-    let io = |error: std::io::Error| failed(error.to_string());
-    std::fs::create_dir_all(&folder).map_err(io)?;
-    let file = |name: &str| -> PathBuf { folder.join(name) };
-    let (width, height) = (noisy.width(), noisy.height());
-    std::fs::write(file("c.pfm"), pfm(width, height, noisy.pixels())).map_err(io)?;
-    let mut command = Command::new(program);
-    command
-        .arg("--hdr")
-        .arg(file("c.pfm"))
-        .arg("-o")
-        .arg(file("o.pfm"));
-    if let Some((pixels, clean)) = guide {
-        std::fs::write(file("a.pfm"), pfm(width, height, pixels)).map_err(io)?;
-        command.arg("--alb").arg(file("a.pfm"));
-        if clean {
-            command.arg("--clean_aux");
-        }
-    }
-    let result = command.output().map_err(io)?;
-    if !result.status.success() {
-        return Err(failed(String::from_utf8_lossy(&result.stdout).into_owned()));
-    }
-    let bytes = std::fs::read(file("o.pfm")).map_err(io)?;
-    std::fs::remove_dir_all(&folder).map_err(io)?;
-    let count = 12 * width as usize * height as usize;
-    let data = bytes
-        .len()
-        .checked_sub(count)
-        .map(|start| &bytes[start..])
-        .ok_or_else(|| failed("its image is cut short".into()))?;
-    let mut pixels: Vec<[f32; 4]> = Vec::new();
-    for row in data.chunks_exact(12 * width as usize).rev() {
-        for pixel in row.chunks_exact(12) {
-            let channel = |c: usize| {
-                let bytes: [u8; 4] = std::array::from_fn(|i| pixel[4 * c + i]);
-                f32::from_le_bytes(bytes)
-            };
-            pixels.push([channel(0), channel(1), channel(2), 1.0]);
-        }
-    }
-    Ok(Image::new(width, height, pixels))
-}
-
-/// Portable float map: rows from the bottom, little-endian.
-fn pfm(width: u32, height: u32, pixels: &[[f32; 4]]) -> Vec<u8> {
-    let mut bytes = format!("PF\n{width} {height}\n-1.0\n").into_bytes();
-    for row in pixels.chunks_exact(width as usize).rev() {
-        for pixel in row {
-            for channel in &pixel[..3] {
-                bytes.extend(channel.to_le_bytes());
-            }
-        }
-    }
-    bytes
-}
-
-fn markdown(report: &Report) -> String {
-    use std::fmt::Write;
-    let mut page = format!(
-        "{}, {}; {} samples per pixel, eye and frame; references of {} samples per pixel.\n",
-        report.adapter, report.driver, report.spp, report.reference_spp
-    );
-    page.push_str("\n| scene | case | noisy | OIDN | mode | relMSE after 1, 2, 8, 32 frames | FLIP after 1, 2, 8, 32 frames |\n|---|---|---|---|---|---|---|\n");
-    for scene in &report.scenes {
-        for case in &scene.cases {
-            for mode in ["holovol", "paper"] {
-                let row = |of: fn(&Outcome) -> f64| {
-                    let of_mode = case.results.iter().filter(|r| r.mode == mode);
-                    let cells: Vec<_> = of_mode.map(|r| format!("{:.5}", of(r))).collect();
-                    cells.join(", ")
-                };
-                let oidn = case.oidn.as_ref().map_or("—".into(), |(name, relmse, _)| {
-                    format!("{relmse:.5} ({name})")
-                });
-                // Writing to a string can't fail.
-                let _ = writeln!(
-                    page,
-                    "| {} | {} | {:.4} | {oidn} | {mode} | {} | {} |",
-                    scene.scene,
-                    case.case,
-                    case.noisy_relmse,
-                    row(|r| r.relmse),
-                    row(|r| r.flip)
-                );
-            }
-        }
-    }
-    page.push_str("\n| scene | case | trace, ms | guides, ms | filter, ms | share | paper's filter, ms |\n|---|---|---|---|---|---|---|\n");
-    for scene in &report.scenes {
-        for case in &scene.cases {
-            let _ = writeln!(
-                page,
-                "| {} | {} | {:.1} | {:.1} | {:.1} | {:.2} | {:.1} |",
-                scene.scene,
-                case.case,
-                1e3 * case.seconds.trace,
-                1e3 * case.seconds.guides,
-                1e3 * case.seconds.filter,
-                case.cost_share,
-                1e3 * case.paper_seconds.filter
-            );
-        }
-    }
-    page.push_str(
-        "\n| scene | switch | mode | frames | ghost | relMSE |\n|---|---|---|---|---|---|\n",
-    );
-    for scene in &report.scenes {
-        for s in &scene.switches {
-            let _ = writeln!(
-                page,
-                "| {} | {} | {} | {} | {:.3} | {:.5} |",
-                scene.scene, s.switch, s.mode, s.frames, s.ghost, s.relmse
-            );
-        }
-    }
-    page
 }

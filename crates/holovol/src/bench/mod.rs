@@ -1,6 +1,9 @@
 //! `holovol bench`: measures holovol on this machine.
 
 mod denoise;
+mod denoise_measures;
+mod denoise_oidn;
+mod denoise_report;
 mod light;
 mod light_path;
 mod report;
