@@ -41,8 +41,8 @@ const STATE: u64 = 5;
 const KEYS: u64 = 3;
 const COUNTS: u64 = 3;
 const TILES: u64 = 7 + 3 * TILE as u64;
-/// A change of light T leaves at most this · (1 − T)/T frames: 0.4 frames of 0.8, so that a lamp's
-/// ghost is below a tenth after four frames.
+/// A change of light T leaves at most this · (1 − T)/T frames: 0.28 frames of 0.85. More would be
+/// seen as a ghost.
 const KEPT_FRAMES: f32 = 1.6;
 /// What an edit of the medium counts for.
 const EDIT: f32 = 0.85;

@@ -7,6 +7,7 @@ use crate::denoise::uniforms::History;
 use crate::denoise::{FADE_FRAMES, TILE};
 
 const NO_WEIGHT: f32 = 0.02;
+const LIGHT_NOISE: f32 = 0.04;
 
 #[derive(Clone, Copy, Default)]
 struct Fetched {
@@ -338,7 +339,7 @@ impl Memory {
                 let offset = (IVec2::new(x, y) - middle).as_vec2();
                 let bias = self.guide_distance(key, there, self.pixel_size(eye))
                     + self.uniform.bias[0] * offset.length_squared()
-                    + self.light_distance(guide, self.counts[self.both(at)]);
+                    + self.light_distance(guide, self.counts[self.both(at)], noise);
                 let fits = 1.0 / (1.0 + bias * there.frames / noise);
                 if (x, y) != (middle.x, middle.y) {
                     let w = fits * fits * there.frames;
@@ -350,10 +351,11 @@ impl Memory {
         light / total
     }
 
-    fn light_distance(&self, a: Vec2, b: Vec2) -> f32 {
+    fn light_distance(&self, a: Vec2, b: Vec2, noise: f32) -> f32 {
         let difference = a.y - b.y;
         let trust = (0.5 * a.x.min(b.x)).min(1.0);
         let mean = 0.5 * (a.y * a.y + b.y * b.y) + self.uniform.tiles[2];
-        self.uniform.edges[0] * trust * difference * difference / mean
+        let excess = difference * difference / mean - LIGHT_NOISE * noise;
+        self.uniform.edges[0] * trust * excess.max(0.0)
     }
 }

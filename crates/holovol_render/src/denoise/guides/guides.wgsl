@@ -16,7 +16,7 @@ const PARTS: u32 = 3u;
 // Steps at most: a volume of 4096 texels a side is crossed; longer ones in longer steps.
 const MAX_STEPS: f32 = 4096.0;
 // What is left behind this transmittance is taken to be as what is in front.
-const OPAQUE: f32 = 0.01;
+const OPAQUE: f32 = 0.04;
 // The normal is taken where this transmittance is reached.
 const NORMAL_TRANSMITTANCE: f32 = 0.6;
 const CELL_SIZE: f32 = #{CELL_SIZE}.0;

@@ -9,6 +9,8 @@
 
 // Weights of history and of the other eye below this are nothing.
 const NO_WEIGHT: f32 = 0.02;
+// Of the samples' relative variance: differences of filtered light up to here are its own noise.
+const LIGHT_NOISE: f32 = 0.04;
 // Pixels to each side that the last pass filters over.
 const RADIUS: i32 = #{RADIUS};
 // Loops of one round stand for branches here: software rasterisers run both sides of a branch, but
@@ -304,11 +306,11 @@ fn stereo(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
 
 // What the last frame's filter found says where light changes though guides don't: shadows.
 // Guides are (frames, filtered light) of the history.
-fn light_distance(a: vec2<f32>, b: vec2<f32>) -> f32 {
+fn light_distance(a: vec2<f32>, b: vec2<f32>, noise: f32) -> f32 {
     let difference = a.y - b.y;
     let trust = min(0.5 * min(a.x, b.x), 1.0);
     let mean = 0.5 * (a.y * a.y + b.y * b.y) + denoise.tiles.z;
-    return denoise.edges.x * trust * difference * difference / mean;
+    return denoise.edges.x * trust * max(difference * difference / mean - LIGHT_NOISE * noise, 0.0);
 }
 
 // 5. A filter over neighbours, each weighed by its noise and by what its guides differ.
@@ -350,7 +352,7 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
                 let offset = vec2<f32>(vec2<i32>(x, y) - vec2<i32>(position));
                 let r2 = dot(offset, offset);
                 let bias = guide_distance(key, there, pixel_size) + denoise.bias.x * r2
-                    + light_distance(guide, counts[both_at(at)]);
+                    + light_distance(guide, counts[both_at(at)], tile.y);
                 let fits = 1.0 / (1.0 + bias * there.frames * inverse_noise);
                 let w = select(0.0, fits * fits * there.frames, r2 > 0.0);
                 total += w;
