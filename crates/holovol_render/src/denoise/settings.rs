@@ -32,7 +32,7 @@ impl Default for PaperSettings {
         Self {
             radius: 3,
             sigma: 1.5,
-            albedo: 10.0,
+            albedo: 40.0,
             gradient: 0.5,
             depth: 0.05,
         }
