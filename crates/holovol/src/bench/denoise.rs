@@ -64,7 +64,7 @@ pub(super) struct CaseReport {
     /// The best of its variants; its name.
     pub(super) oidn: Option<(String, f64, f64)>,
     pub(super) results: Vec<Outcome>,
-    /// Means over the frames of the longest run.
+    /// Means over the frames of the longest run but the first.
     pub(super) seconds: Seconds,
     pub(super) paper_seconds: Seconds,
     /// (guides + filter) / trace.
@@ -387,7 +387,8 @@ fn measure_case(
     }
     let flicker = flicker(gpu, case, end, reference, &last, args)?;
     let mean = |mode: &str| {
-        let times = times.get(mode).map_or(&[][..], Vec::as_slice);
+        // In the first frame drivers may compile.
+        let times = times.get(mode).map_or(&[][..], |times| &times[1..]);
         let n = times.len().max(1) as f64;
         let of = |f: fn(&Seconds) -> f64| times.iter().map(f).sum::<f64>() / n;
         Seconds {
