@@ -32,6 +32,7 @@ fn main() {
             "hardware_interpolation_differs_from_exact_and_says_so",
             hardware_interpolation_differs_from_exact_and_says_so,
         ),
+        test("denoise_lowers_the_error", denoise_lowers_the_error),
         test("demo_makes_a_picture", demo_makes_a_picture),
     ];
     libtest_mimic::run(&args, trials).exit();
@@ -124,6 +125,39 @@ fn hardware_interpolation_differs_from_exact_and_says_so() {
     };
     // Texture units weigh with 8 bits: some of 12,288 paths collide elsewhere.
     assert_ne!(render("exact"), render("hardware"));
+}
+
+fn denoise_lowers_the_error() {
+    let bench = Bench::new();
+    bench.json(&["render", "scene.json", "--out", "r.exr", "--spp", "1024"]);
+    let reference = Image::read_exr(&bench.path("r.exr")).unwrap();
+    let error = |mode: &str| {
+        let line = bench.json(&[
+            "render",
+            "scene.json",
+            "--out",
+            "d.exr",
+            "--denoise",
+            mode,
+            "--frames",
+            "8",
+            "--spp-per-frame",
+            "2",
+            "--all-frames",
+        ]);
+        assert_eq!(
+            (&line["denoise"], &line["frames"]),
+            (&mode.into(), &8.into())
+        );
+        assert!(line["seconds_per_frame"]["trace"].as_f64().unwrap() >= 0.0);
+        let last = Image::read_exr(&bench.path("d.0007.exr")).unwrap();
+        holovol_reference::measures::relmse(&last, &reference).unwrap()
+    };
+    let [off, paper, holovol] = ["off", "paper", "holovol"].map(error);
+    assert!(
+        holovol < 0.5 * off && holovol < paper && holovol > 0.0,
+        "holovol {holovol}, paper {paper}, off {off}"
+    );
 }
 
 fn demo_makes_a_picture() {

@@ -181,6 +181,29 @@ pub struct RenderArgs {
     /// Number of frames over the scene's animation, instead of the scene's own
     #[arg(long, value_name = "N")]
     pub frames: Option<u32>,
+    /// Play the frames through the real-time pipeline, and write the last
+    ///
+    /// Each frame has --spp-per-frame samples and what is kept of those before it. A scene without
+    /// `animation` rests for --frames frames. The line of JSON has seconds_per_frame by stage.
+    #[arg(long, value_enum, conflicts_with_all = ["spp", "seconds"])]
+    pub denoise: Option<Denoise>,
+    /// Samples per pixel, eye and frame, with --denoise
+    #[arg(long, value_name = "N", default_value_t = 2, requires = "denoise", value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub spp_per_frame: u32,
+    /// Write every frame, not only the last, with --denoise
+    #[arg(long, requires = "denoise")]
+    pub all_frames: bool,
+}
+
+/// How noise is taken out of frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Denoise {
+    /// Not at all: each frame as it was traced
+    Off,
+    /// As Cheng et al. 2023
+    Paper,
+    /// By this project's own denoiser
+    Holovol,
 }
 
 /// How long to trace.
@@ -474,6 +497,8 @@ pub enum BenchCommand {
     Trace(BenchTraceArgs),
     /// The estimation of light against panoramas whose light is known
     Light(BenchLightArgs),
+    /// The denoisers against converged images and Open Image Denoise
+    Denoise(BenchDenoiseArgs),
 }
 
 /// `holovol bench light`
@@ -496,6 +521,52 @@ pub struct BenchLightArgs {
     /// Also write the results as a Markdown page
     #[arg(long, value_name = "OUT.md")]
     pub report: Option<PathBuf>,
+}
+
+/// `holovol bench denoise`
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+For each scene, seen by two eyes: relMSE and FLIP after 1, 2, 8 and 32 frames at rest, with a slow
+and a fast head, a turning volume and a turning light; ghosts after a lamp and a transfer function
+have switched; how far the eyes are apart, contrast at the scale of a pixel, flicker, places that
+come into view; time per stage. On standard output comes one line of JSON.
+
+Example:
+  holovol bench denoise iguana_studio.json --oidn oidnDenoise --report denoise.md")]
+pub struct BenchDenoiseArgs {
+    /// Scene files
+    #[arg(value_name = "SCENE.json", required = true)]
+    pub scenes: Vec<PathBuf>,
+    /// Samples per pixel, eye and frame
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..))]
+    pub spp: u32,
+    /// Samples per pixel of each of the reference's two halves
+    #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..))]
+    pub reference_spp: u32,
+    /// Width and height in pixels, instead of the scene's
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=4096))]
+    pub size: Option<u32>,
+    /// Only cases whose name contains this, or `switch`; may be repeated
+    #[arg(long = "case", value_name = "CASE")]
+    pub cases: Vec<String>,
+    /// Seed of the noisy frames
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// Measure flicker in motion too, which takes another reference per case
+    #[arg(long)]
+    pub flicker: bool,
+    /// The program of Open Image Denoise, to compare with
+    #[arg(long, value_name = "oidnDenoise")]
+    pub oidn: Option<PathBuf>,
+    /// Write the left eye's images into this folder
+    #[arg(long, value_name = "FOLDER")]
+    pub pictures: Option<PathBuf>,
+    /// Also write the results as Markdown tables
+    #[arg(long, value_name = "OUT.md")]
+    pub report: Option<PathBuf>,
+    /// Use the graphics adapter whose name or driver contains this
+    #[arg(long, value_name = "NAME")]
+    pub adapter: Option<String>,
 }
 
 /// `holovol bench trace`

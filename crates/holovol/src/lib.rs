@@ -15,12 +15,14 @@ mod failure;
 mod info;
 mod interrupt;
 mod light;
+mod live;
 mod output;
 mod picture;
 #[cfg(feature = "preview")]
 mod preview;
 mod progress;
 mod render;
+mod render_live;
 mod thumbnail;
 
 pub use failure::{Exit, Failure};

@@ -7,9 +7,9 @@ use holovol_reference::Image;
 use holovol_scene::{Camera, Scene, SceneFile, Sequence};
 
 use crate::backend::{Device, Goal, Traced};
-use crate::cli::{Backend, Interpolation, RenderArgs};
+use crate::cli::{Backend, Denoise, Interpolation, RenderArgs};
 use crate::progress::Bar;
-use crate::{Exit, Failure, interrupt, output, picture, print_json};
+use crate::{Exit, Failure, interrupt, output, picture, print_json, render_live};
 
 /// What `render` prints.
 #[derive(serde::Serialize)]
@@ -52,7 +52,10 @@ pub(crate) fn run(args: &RenderArgs) -> Result<(), Failure> {
         output::check(png, "png", "--png")?;
     }
     let started = Instant::now();
-    let device = Device::open(&args.device)?;
+    let device = match args.denoise {
+        None => Some(Device::open(&args.device)?),
+        Some(_) => None,
+    };
     let sequence = load(args)?;
     for notice in sequence.notices() {
         eprintln!("note: {notice}");
@@ -68,6 +71,13 @@ pub(crate) fn run(args: &RenderArgs) -> Result<(), Failure> {
             }
         }
     }
+    let device = match (device, args.denoise) {
+        (Some(device), None) => device,
+        (_, denoise) => {
+            let denoise = denoise.unwrap_or(Denoise::Off);
+            return render_live::run(args, denoise, &sequence, |camera| eyes(&sequence, camera));
+        }
+    };
     let mut load_seconds = started.elapsed().as_secs_f64();
 
     let mut totals = Totals::default();
@@ -202,7 +212,7 @@ fn load(args: &RenderArgs) -> Result<Sequence, Failure> {
     let Some(frames) = args.frames else {
         return Ok(sequence);
     };
-    if file.animation.is_none() {
+    if file.animation.is_none() && args.denoise.is_none() {
         return Err(Failure::new(
             Exit::Usage,
             format!(

@@ -79,10 +79,19 @@ impl Gpu {
         label: &str,
         types: &[BindingType],
     ) -> Result<wgpu::BindGroupLayout, RenderError> {
+        let types: Vec<_> = (0..).zip(types.iter().copied()).collect();
+        self.numbered_layout(label, &types)
+    }
+
+    /// As [`Gpu::bind_group_layout`], with the binding's number beside each.
+    pub(crate) fn numbered_layout(
+        &self,
+        label: &str,
+        types: &[(u32, BindingType)],
+    ) -> Result<wgpu::BindGroupLayout, RenderError> {
         let entries: Vec<_> = types
             .iter()
-            .zip(0..)
-            .map(|(&ty, binding)| wgpu::BindGroupLayoutEntry {
+            .map(|&(binding, ty)| wgpu::BindGroupLayoutEntry {
                 binding,
                 visibility: wgpu::ShaderStages::COMPUTE,
                 ty,
@@ -104,10 +113,19 @@ impl Gpu {
         layout: &wgpu::BindGroupLayout,
         resources: impl IntoIterator<Item = wgpu::BindingResource<'a>>,
     ) -> wgpu::BindGroup {
+        self.numbered_group(label, layout, (0..).zip(resources))
+    }
+
+    /// As [`Gpu::bind_group`], with the binding's number beside each.
+    pub(crate) fn numbered_group<'a>(
+        &self,
+        label: &str,
+        layout: &wgpu::BindGroupLayout,
+        resources: impl IntoIterator<Item = (u32, wgpu::BindingResource<'a>)>,
+    ) -> wgpu::BindGroup {
         let entries: Vec<_> = resources
             .into_iter()
-            .zip(0..)
-            .map(|(resource, binding)| wgpu::BindGroupEntry { binding, resource })
+            .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource })
             .collect();
         self.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(label),

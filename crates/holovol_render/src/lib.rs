@@ -14,6 +14,7 @@
 //! ```
 
 mod composite;
+mod denoise;
 mod depth;
 mod error;
 mod fetch;
@@ -32,6 +33,7 @@ mod trace;
 mod volume;
 
 pub use composite::{CompositePlace, CompositeTarget, Compositor};
+pub use denoise::{DenoiseFrame, DenoiseMode, DenoiseSettings, Denoiser, PaperSettings};
 pub use depth::{DepthLayers, DepthSource, MeshDepth};
 pub use error::RenderError;
 pub use frame::{FrameImage, FrameTracer, FrameWork, Kernels, ViewFrame};

@@ -40,6 +40,7 @@ pub(crate) const SHARED: &[ShaderFile] = &[
     shader_file!("shared/environment.wgsl"),
     shader_file!("shared/walk.wgsl"),
     shader_file!("shared/scattering.wgsl"),
+    shader_file!("denoise/common.wgsl"),
 ];
 
 #[cfg(any(test, feature = "testing"))]
@@ -64,7 +65,9 @@ pub(crate) fn compose(file: &ShaderFile, defs: &ShaderDefs) -> Result<naga::Modu
         .map(|&(name, value)| (name.to_owned(), ShaderDefValue::UInt(value)))
         .collect();
     let mut composer = Composer::default().with_capabilities(
-        Capabilities::SUBGROUP | Capabilities::TEXTURE_AND_SAMPLER_BINDING_ARRAY,
+        Capabilities::SUBGROUP
+            | Capabilities::TEXTURE_AND_SAMPLER_BINDING_ARRAY
+            | Capabilities::SHADER_FLOAT16_IN_FLOAT32,
     );
     for shared in SHARED {
         let added = composer.add_composable_module(ComposableModuleDescriptor {

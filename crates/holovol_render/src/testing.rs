@@ -6,6 +6,7 @@ pub mod sphere;
 use std::borrow::Cow;
 use std::cell::Cell;
 
+pub use crate::denoise::cpu as denoise;
 pub use crate::majorant::cpu as majorants;
 pub use crate::shared as twins;
 pub use crate::trace::contract::{Contract, Lane};

@@ -1,5 +1,9 @@
 //! `holovol bench`: measures holovol on this machine.
 
+mod denoise;
+mod denoise_measures;
+mod denoise_oidn;
+mod denoise_report;
 mod light;
 mod light_path;
 mod report;
@@ -12,6 +16,7 @@ pub(crate) fn run(command: &BenchCommand) -> Result<(), Failure> {
     match command {
         BenchCommand::Trace(args) => trace::run(args),
         BenchCommand::Light(args) => light::run(args),
+        BenchCommand::Denoise(args) => denoise::run(args),
     }
 }
 

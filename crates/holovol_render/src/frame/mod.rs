@@ -37,6 +37,15 @@ use crate::{
     TraceOptions,
 };
 
+/// A volume on the device, and how the tracer's kernels are specialised for it.
+pub(crate) struct Matter<'a> {
+    pub(crate) volume: &'a GpuVolume,
+    pub(crate) majorants: &'a MajorantGrid,
+    pub(crate) buffers: &'a Buffers,
+    pub(crate) options: &'a TraceOptions,
+    pub(crate) surroundings: Surroundings,
+}
+
 /// One volume in an app's frames.
 pub struct FrameTracer {
     gpu: Gpu,
@@ -464,6 +473,22 @@ impl FrameTracer {
     /// Sums of all images: two vectors per pixel of premultiplied radiance and opacity.
     pub fn accumulators(&self) -> &wgpu::Buffer {
         &self.buffers.accumulators
+    }
+
+    /// What other kernels need in order to look at the volume as the tracer does.
+    pub(crate) fn matter(&self) -> Matter<'_> {
+        Matter {
+            volume: &self.volume,
+            majorants: &self.majorants,
+            buffers: &self.buffers,
+            options: &self.options,
+            surroundings: Surroundings {
+                constant_environment: self.environment.is_constant(),
+                has_density: self.environment.has_density(),
+                slices: self.volume.slices,
+                mesh_depth: false,
+            },
+        }
     }
 
     /// Waits until its kernels are compiled: for tests and servers.

@@ -3,6 +3,7 @@ use naga::{AddressSpace, Binding, ResourceBinding, ShaderStage};
 
 use super::*;
 use crate::composite::{COMPOSITE, CompositeUniform};
+use crate::denoise::{GUIDES, HOLOVOL, PAPER, pass_defs};
 use crate::depth::{DEPTH, SourceUniform};
 use crate::fetch::FETCH;
 use crate::frame::RESUME;
@@ -149,7 +150,9 @@ fn validated(file: &ShaderFile, defs: &ShaderDefs) -> (naga::Module, ModuleInfo)
         Ok(module) => module,
         Err(error) => panic!("{defs:?}: {error}"),
     };
-    let info = Validator::new(ValidationFlags::all(), Capabilities::SUBGROUP)
+    // Unpacking halves needs no half arithmetic: every WebGPU device has it.
+    let capabilities = Capabilities::SUBGROUP | Capabilities::SHADER_FLOAT16_IN_FLOAT32;
+    let info = Validator::new(ValidationFlags::all(), capabilities)
         .validate(&module)
         .unwrap_or_else(|error| panic!("{}, {defs:?}: {error:?}", file.path));
     (module, info)
@@ -159,6 +162,16 @@ fn validated(file: &ShaderFile, defs: &ShaderDefs) -> (naga::Module, ModuleInfo)
 fn every_variant_of_every_kernel_is_valid() {
     for defs in variants() {
         validated(&TRACE, &defs);
+    }
+    for mut defs in variants() {
+        defs.extend(pass_defs(3));
+        validated(&GUIDES, &defs);
+    }
+    for radius in [0, 3, 8] {
+        let mut defs = with(&[]);
+        defs.extend(pass_defs(radius));
+        validated(&HOLOVOL, &defs);
+        validated(&PAPER, &defs);
     }
     validated(&FETCH, &with(&[]));
     validated(&CONTRACT, &with(&[("SURFACE", 1)]));

@@ -28,7 +28,7 @@ pub(crate) struct Buffers {
     has_guides: bool,
     pub(crate) counters: wgpu::Buffer,
     queues: [wgpu::Buffer; 2],
-    field_sampler: wgpu::Sampler,
+    pub(crate) field_sampler: wgpu::Sampler,
     /// 1 × 1, while no mesh is in the way.
     no_mesh_depth: wgpu::TextureView,
 }

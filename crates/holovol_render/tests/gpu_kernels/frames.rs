@@ -309,7 +309,7 @@ pub fn clip_planes_cut(gpu: &Gpu) -> Result<(), String> {
         }
         frame(gpu, &mut tracer, &views, None)?;
         let found = mean_opacity(&tracer, 0)?;
-        let expected = 1.0 - (-2.0f64 * left).exp();
+        let expected = 1.0 - f64::exp(-2.0 * left);
         if (found - expected).abs() > 4e-3 {
             return Err(format!(
                 "{:?}: opacity {found} instead of {expected}",

@@ -1,6 +1,8 @@
 //! Runs the shipped kernels, function by function, on the GPU: they must equal their CPU twins,
 //! draw what they evaluate, and bound what they skip. Then damages them, to see that it shows.
 
+mod denoise;
+mod denoise_twins;
 mod determinism;
 mod draws;
 mod frames;
@@ -58,6 +60,33 @@ const CHECKS: &[(&str, Check)] = &[
     ("paths_end_at_meshes", frames::paths_end_at_meshes),
     ("clip_planes_cut", frames::clip_planes_cut),
     ("only_changes_begin_anew", frames::only_changes_begin_anew),
+    ("denoise_paper_equals_the_twin", denoise_twins::paper),
+    ("denoise_holovol_equals_the_twin", denoise_twins::holovol),
+    (
+        "denoised_resting_view_is_consistent",
+        denoise::resting_view_is_consistent,
+    ),
+    (
+        "denoiser_loses_wild_samples",
+        denoise::wild_samples_are_lost,
+    ),
+    (
+        "denoiser_swaps_images_with_eyes",
+        denoise::swapped_eyes_swap_images,
+    ),
+    (
+        "denoiser_gives_equal_eyes_equal_images",
+        denoise::equal_eyes_get_equal_images,
+    ),
+    (
+        "denoiser_outlives_upheavals",
+        denoise::upheavals_leave_no_trace,
+    ),
+    ("denoiser_keeps_the_mean", denoise::the_mean_is_kept),
+    (
+        "denoiser_refuses_wrong_eyes",
+        denoise::wrong_eyes_are_refused,
+    ),
 ];
 
 fn main() {

@@ -3,7 +3,7 @@
 use holovol_render::Gpu;
 use holovol_render::testing::Mutation;
 
-use super::{Check, determinism, draws, frames, functions, grids, guides};
+use super::{Check, denoise, denoise_twins, determinism, draws, frames, functions, grids, guides};
 
 /// How a failure to compose or compile a kernel begins, see `RenderError::Internal`.
 const INVALID: &str = "internal error in";
@@ -53,7 +53,119 @@ const WALK: &str = "shared/walk.wgsl";
 const MAJORANT: &str = "majorant.wgsl";
 const TRACE: &str = "trace.wgsl";
 
+const DENOISE: &str = "holovol/holovol.wgsl";
+const GUIDE_KEYS: &str = "denoise/common.wgsl";
+const PAPER: &str = "paper/paper.wgsl";
+
 pub const MUTATIONS: &[Caught] = &[
+    caught(
+        PAPER,
+        "let falloff = 0.5 /",
+        "let falloff = 0.52 /",
+        denoise_twins::paper,
+    ),
+    caught(
+        PAPER,
+        "exp(-1.0 / (change - 1.0))",
+        "exp(1.0 / (change - 1.0))",
+        denoise_twins::paper,
+    ),
+    caught(
+        PAPER,
+        "const BETA: f32 = 2.0;",
+        "const BETA: f32 = 1.98;",
+        denoise_twins::paper,
+    ),
+    caught(
+        GUIDE_KEYS,
+        "let t = max(-z, 0.0);",
+        "let t = 0.0;",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "let by_filter = filtered - mean;",
+        "let by_filter = filtered;",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "row < TILE; row",
+        "row < TILE - 1u; row",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "variance += w * w * sums.w;",
+        "variance += w * sums.w;",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "frames /= 1.0 + frames * tile.w;",
+        "frames /= 1.0 + tile.w;",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "worth / (frames + worth)",
+        "worth / (frames + 1.0)",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "let w = select(0.0, fits * fits",
+        "let w = select(0.0, fits",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "before.frames *= before.fit * before.fit;",
+        "before.frames *= before.fit;",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "(light - old) / (frames + 1.0)",
+        "(light - old) / frames",
+        denoise::upheavals_leave_no_trace,
+    ),
+    caught(
+        DENOISE,
+        "var result = own;",
+        "var result = own + 1e-3;",
+        denoise::upheavals_leave_no_trace,
+    ),
+    caught(
+        DENOISE,
+        "frames += 1.0;",
+        "frames = min(frames + 1.0, 64.0);",
+        denoise::resting_view_is_consistent,
+    ),
+    caught(
+        DENOISE,
+        "if !all_finite(mean) {",
+        "if false {",
+        denoise::wild_samples_are_lost,
+    ),
+    caught(
+        DENOISE,
+        "fetch(key, there, 1u - eye,",
+        "fetch(key, there, 0u,",
+        denoise::swapped_eyes_swap_images,
+    ),
+    caught(
+        DENOISE,
+        "result = mix(own, filtered, weight);",
+        "result = mix(own, filtered, weight * f32(eye));",
+        denoise::equal_eyes_get_equal_images,
+    ),
+    caught(
+        DENOISE,
+        "clamp(mean.rgb / scale,",
+        "clamp(1.03 * mean.rgb / scale,",
+        denoise::the_mean_is_kept,
+    ),
     caught(RANDOM, "1664525u", "1664527u", functions::random_numbers),
     caught(
         RANDOM,

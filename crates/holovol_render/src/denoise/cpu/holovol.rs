@@ -1,0 +1,361 @@
+//! Twins of holovol.wgsl.
+
+use glam::{IVec2, UVec2, Vec2, Vec3, Vec4};
+
+use super::{ALBEDO_FLOOR, Key, LARGEST, Memory, mean_rgb, project, with_frames};
+use crate::denoise::uniforms::History;
+use crate::denoise::{FADE_FRAMES, TILE};
+
+const NO_WEIGHT: f32 = 0.02;
+const LIGHT_NOISE: f32 = 0.04;
+
+#[derive(Clone, Copy, Default)]
+struct Fetched {
+    light: Vec4,
+    frames: f32,
+    filtered: f32,
+    fit: f32,
+}
+
+impl Memory {
+    fn history(&self, eye: usize) -> u32 {
+        self.eye(eye).frame[1]
+    }
+
+    fn tile_count(&self) -> usize {
+        self.uniform.counts[2] as usize
+    }
+
+    fn tile_sums(&self, part: usize) -> usize {
+        part * self.tile_count()
+    }
+
+    fn tile_memory(&self, now: bool) -> usize {
+        let half = self.uniform.halves[2] as usize;
+        (3 + if now { half } else { 1 - half }) * self.tile_count()
+    }
+
+    fn tile_result(&self, part: usize) -> usize {
+        (5 + part) * self.tile_count()
+    }
+
+    fn tile_rows(&self, part: usize) -> usize {
+        (7 + TILE as usize * part) * self.tile_count()
+    }
+
+    /// Tiles across and down.
+    fn grid(&self, eye: usize) -> UVec2 {
+        UVec2::new(self.eye(eye).frame[3], self.size(eye).y.div_ceil(TILE))
+    }
+
+    fn tile(&self, eye: usize, at: UVec2) -> usize {
+        (self.eye(eye).frame[2] + at.x + self.grid(eye).x * at.y) as usize
+    }
+
+    fn tile_at(&self, eye: usize, position: UVec2, part: usize) -> Vec4 {
+        let last = self.grid(eye).as_ivec2() - 1;
+        let middle = (position.as_vec2() + 0.5) / TILE as f32 - 0.5;
+        let base = middle.floor();
+        let weight = middle - base;
+        let value = |x: i32, y: i32| {
+            let at = (base.as_ivec2() + IVec2::new(x, y)).clamp(IVec2::ZERO, last);
+            self.tiles[self.tile_result(part) + self.tile(eye, at.as_uvec2())]
+        };
+        let top = value(0, 0).lerp(value(1, 0), weight.x);
+        top.lerp(value(0, 1).lerp(value(1, 1), weight.x), weight.y)
+    }
+
+    /// Keys, state and counts all begin at `first`.
+    fn fetch(&self, key: Key, place: Vec3, eye: usize, first: usize, strictness: f32) -> Fetched {
+        let size = self.size(eye).as_vec2();
+        let here = key.at(place.z, key.normal);
+        let position = place.truncate() / place.z - 0.5;
+        let is_inside = position.cmpgt(Vec2::NEG_ONE).all() && position.cmplt(size).all();
+        if !(place.z > 0.0 && is_inside) {
+            return Fetched::default();
+        }
+        let base = position.floor();
+        let weight = position - base;
+        let mut found = Fetched::default();
+        let mut total = 0.0;
+        for offset in [(0, 0), (1, 0), (0, 1), (1, 1)].map(IVec2::from) {
+            let at = base.as_ivec2() + offset;
+            if at.cmplt(IVec2::ZERO).any() || at.as_vec2().cmpge(size).any() {
+                continue;
+            }
+            let pixel = first + self.pixel(eye, at.x as u32, at.y as u32);
+            let there = self.key(pixel);
+            if there.albedo <= 0.0 || there.frames <= 0.0 {
+                continue;
+            }
+            let side = |offset: i32, w: f32| if offset == 1 { w } else { 1.0 - w };
+            let distance = self.guide_distance(here, there, self.pixel_size(eye));
+            let w =
+                side(offset.x, weight.x) * side(offset.y, weight.y) / (1.0 + strictness * distance);
+            total += w;
+            found.light += w * self.state[pixel];
+            found.frames += w * self.counts[pixel].x;
+            found.filtered += w * self.counts[pixel].y;
+        }
+        if total < NO_WEIGHT {
+            return Fetched::default();
+        }
+        found.light /= total;
+        found.filtered /= total;
+        found.fit = total;
+        found
+    }
+
+    fn new_light(&self, eye: usize, pixel: usize, scale: Vec3) -> Option<Vec4> {
+        let mean = self.sample(eye, pixel)?;
+        let light = (mean.truncate() / scale).clamp(Vec3::ZERO, Vec3::splat(LARGEST));
+        Some(light.extend(mean.w))
+    }
+
+    fn history_of(&self, eye: usize, position: UVec2, pixel: usize) -> Fetched {
+        let key = self.key(self.now() + pixel);
+        let mut before = Fetched::default();
+        if self.history(eye) == History::Same as u32 {
+            let at = self.before() + pixel;
+            before = Fetched {
+                light: self.state[at],
+                frames: self.counts[at].x,
+                filtered: self.counts[at].y,
+                fit: 1.0,
+            };
+        } else if self.history(eye) == History::Moved as u32 && key.albedo > 0.0 {
+            let here = self.position(eye, position, key.depth);
+            let there = project(&self.eye(eye).previous, here);
+            let turned = key.at(key.depth, self.turned(eye, key.normal));
+            let strictness = self.uniform.across[0];
+            before = self.fetch(turned, there, eye, self.before(), strictness);
+        }
+        let [most, factor, change, _] = self.eye(eye).history;
+        before.frames = (before.frames * factor).min(most);
+        if change > 0.0 {
+            before.frames *= before.fit * before.fit;
+        }
+        before
+    }
+
+    pub(super) fn reproject(&mut self) {
+        let rows = self.tile_rows(0)..self.tile_rows(3);
+        self.tiles[rows].fill(Vec4::ZERO);
+        self.each_pixel(|m, eye, position, pixel| {
+            let before = m.history_of(eye, position, pixel);
+            let (scratch, both) = (m.scratch(pixel), m.both(pixel));
+            m.state[scratch] = before.light;
+            m.counts[both] = Vec2::new(before.frames, before.filtered);
+            let scale = m.albedo(pixel) + ALBEDO_FLOOR;
+            let is_met = m.key(m.now() + pixel).albedo > 0.0;
+            let Some(light) = m.new_light(eye, pixel, scale) else {
+                return;
+            };
+            if !(is_met && before.frames > 0.0) {
+                return;
+            }
+            let old = before.light.truncate() * scale;
+            let difference = light.truncate() * scale - old;
+            let d = mean_rgb(difference);
+            let mean = mean_rgb(old);
+            let filtered = before.filtered * mean_rgb(scale);
+            let by_filter = filtered - mean;
+            let w = 1.0 / (filtered * filtered + m.uniform.tiles[2]);
+            let sums = [
+                difference.extend(d * d),
+                old.extend(mean * mean),
+                Vec4::new(d * by_filter, by_filter * by_filter, d * d, 1.0 / w) * w,
+            ];
+            let row = TILE as usize * m.tile(eye, position / TILE) + (position.y % TILE) as usize;
+            for (part, sum) in sums.into_iter().enumerate() {
+                let at = m.tile_rows(part) + row;
+                m.tiles[at] += sum;
+            }
+        });
+    }
+
+    pub(super) fn add_rows(&mut self) {
+        for part in 0..3 {
+            for tile in 0..self.tile_count() {
+                let rows = self.tile_rows(part) + TILE as usize * tile;
+                let sum = self.tiles[rows..rows + TILE as usize].iter().sum();
+                let at = self.tile_sums(part) + tile;
+                self.tiles[at] = sum;
+            }
+        }
+    }
+
+    pub(super) fn judge(&mut self) {
+        for eye in 0..self.uniform.counts[0] as usize {
+            let grid = self.grid(eye);
+            for y in 0..grid.y {
+                for x in 0..grid.x {
+                    self.judge_tile(eye, UVec2::new(x, y));
+                }
+            }
+        }
+    }
+
+    fn judge_tile(&mut self, eye: usize, place: UVec2) {
+        let [correction_noise, shortening_factor, _, memory_factor] = self.uniform.tiles;
+        let last = self.grid(eye).as_ivec2() - 1;
+        let (mut difference, mut old, mut memory) = (Vec4::ZERO, Vec4::ZERO, Vec4::ZERO);
+        let mut own = Vec4::ZERO;
+        let mut variance = 0.0;
+        for y in -1..2 {
+            for x in -1..2 {
+                let at = (place.as_ivec2() + IVec2::new(x, y)).clamp(IVec2::ZERO, last);
+                let tile = self.tile(eye, at.as_uvec2());
+                let w = ((2 - x.abs()) * (2 - y.abs())) as f32 / 16.0;
+                let sums = self.tiles[self.tile_sums(0) + tile];
+                difference += w * sums;
+                variance += w * w * sums.w;
+                old += w * self.tiles[self.tile_sums(1) + tile];
+                let mut remembered = self.tiles[self.tile_sums(2) + tile];
+                if self.history(eye) != History::None as u32 {
+                    remembered += memory_factor * self.tiles[self.tile_memory(false) + tile];
+                }
+                memory += w * remembered;
+                if (x, y) == (0, 0) {
+                    own = remembered;
+                }
+            }
+        }
+        let lag = mean_rgb(difference.truncate());
+        let significance = (lag * lag / variance.max(1e-30) - 1.0).max(0.0);
+        let gain = significance / (significance + correction_noise);
+        let old_light = old.truncate();
+        let mut correction = gain * difference.truncate() / old_light.max(Vec3::splat(1e-20));
+        correction = correction.clamp(Vec3::splat(-0.9), Vec3::splat(4.0));
+        correction = Vec3::select(old_light.cmpgt(Vec3::splat(1e-20)), correction, Vec3::ZERO);
+        let mut shortening = mean_rgb(correction.abs()).min(1.0) * shortening_factor;
+        if self.history(eye) == History::Same as u32 {
+            correction = Vec3::ZERO;
+            shortening = 0.0;
+        }
+        let prior = 1e-3 * memory.z + 1e-20;
+        let weight = ((memory.x + prior) / (memory.y + prior)).clamp(0.0, 1.0);
+        let noise = if old.w > 1e-30 {
+            difference.w / old.w.max(1e-30)
+        } else {
+            self.uniform.across[3]
+        };
+        let tile = self.tile(eye, place);
+        let results = [
+            (self.tile_memory(true), own),
+            (self.tile_result(0), correction.extend(shortening)),
+            (
+                self.tile_result(1),
+                Vec4::new(weight, noise.clamp(0.003, 1.0), 0.0, 0.0),
+            ),
+        ];
+        for (first, value) in results {
+            self.tiles[first + tile] = value;
+        }
+    }
+
+    pub(super) fn blend(&mut self) {
+        self.each_pixel(|m, eye, position, pixel| {
+            let scale = m.albedo(pixel) + ALBEDO_FLOOR;
+            let mut old = m.state[m.scratch(pixel)];
+            let mut frames = m.counts[m.both(pixel)].x;
+            if m.history(eye) == History::Moved as u32 && frames > 0.0 {
+                let tile = m.tile_at(eye, position, 0);
+                old = (old.truncate() * (1.0 + tile.truncate())).extend(old.w);
+                frames /= 1.0 + frames * tile.w;
+            }
+            if let Some(light) = m.new_light(eye, pixel, scale) {
+                old += (light - old) / (frames + 1.0);
+                frames += 1.0;
+            } else if frames == 0.0 {
+                old = Vec4::ZERO;
+            }
+            let at = m.now() + pixel;
+            m.state[at] = old;
+            m.counts[at] = Vec2::new(frames, 0.0);
+            m.keys[at] = with_frames(m.keys[at], frames);
+        });
+    }
+
+    pub(super) fn stereo(&mut self) {
+        self.each_pixel(|m, eye, position, pixel| {
+            let words = m.keys[m.now() + pixel];
+            let key = Key::unpack(words);
+            let mut light = m.state[m.now() + pixel];
+            let mut frames = m.counts[m.now() + pixel].x;
+            if key.albedo > 0.0 {
+                let here = m.position(eye, position, key.depth);
+                let there = project(&m.eye(eye).other, here);
+                let [_, strictness, eye_bias, _] = m.uniform.across;
+                let other = m.fetch(key, there, 1 - eye, m.now(), strictness);
+                if other.frames > 0.0 {
+                    let noise = m.tile_at(eye, position, 1).y;
+                    let worth = other.frames / (1.0 + other.frames * eye_bias / noise);
+                    light = light.lerp(other.light, worth / (frames + worth));
+                    frames += worth;
+                }
+            }
+            let (scratch, both) = (m.scratch(pixel), m.both(pixel));
+            m.state[scratch] = light;
+            m.keys[both] = with_frames(words, frames);
+        });
+    }
+
+    pub(super) fn gather(&mut self) {
+        self.each_pixel(|m, eye, position, pixel| {
+            let own = m.state[m.now() + pixel];
+            let scale = m.albedo(pixel) + ALBEDO_FLOOR;
+            let key = m.key(m.both(pixel));
+            let (mut result, mut filtered) = (own, own);
+            if key.albedo > 0.0 {
+                let tile = m.tile_at(eye, position, 1);
+                filtered = m.filtered(eye, position, pixel, tile.y);
+                let fade = FADE_FRAMES as f32;
+                let weight = tile.x.min(fade / (fade + m.counts[m.now() + pixel].x));
+                result = own.lerp(filtered, weight);
+            }
+            let at = m.now() + pixel;
+            m.counts[at].y = mean_rgb(filtered.truncate() * scale) / mean_rgb(scale);
+            m.output[pixel] = (result.truncate() * scale).extend(result.w.clamp(0.0, 1.0));
+        });
+    }
+
+    /// The weighted mean over an octagon of neighbours.
+    fn filtered(&self, eye: usize, position: UVec2, pixel: usize, noise: f32) -> Vec4 {
+        let radius = self.radius as i32;
+        let key = self.key(self.both(pixel));
+        let guide = self.counts[self.both(pixel)];
+        let centre = key.frames.max(0.5);
+        let mut light = centre * self.state[self.scratch(pixel)];
+        let mut total = centre;
+        let middle = position.as_ivec2();
+        let low = (middle - radius).max(IVec2::ZERO);
+        let high = (middle + radius).min(self.size(eye).as_ivec2() - 1);
+        for y in low.y..=high.y {
+            let reach = radius - ((y - middle.y).abs() - radius / 2).max(0);
+            for x in low.x.max(middle.x - reach)..=high.x.min(middle.x + reach) {
+                let at = self.pixel(eye, x as u32, y as u32);
+                let there = self.key(self.both(at));
+                let offset = (IVec2::new(x, y) - middle).as_vec2();
+                let bias = self.guide_distance(key, there, self.pixel_size(eye))
+                    + self.uniform.bias[0] * offset.length_squared()
+                    + self.light_distance(guide, self.counts[self.both(at)], noise);
+                let fits = 1.0 / (1.0 + bias * there.frames / noise);
+                if (x, y) != (middle.x, middle.y) {
+                    let w = fits * fits * there.frames;
+                    total += w;
+                    light += w * self.state[self.scratch(at)];
+                }
+            }
+        }
+        light / total
+    }
+
+    fn light_distance(&self, a: Vec2, b: Vec2, noise: f32) -> f32 {
+        let difference = a.y - b.y;
+        let trust = (0.5 * a.x.min(b.x)).min(1.0);
+        let mean = 0.5 * (a.y * a.y + b.y * b.y) + self.uniform.tiles[2];
+        let excess = difference * difference / mean - LIGHT_NOISE * noise;
+        self.uniform.edges[0] * trust * excess.max(0.0)
+    }
+}

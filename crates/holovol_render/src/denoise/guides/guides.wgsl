@@ -1,0 +1,119 @@
+// Guides without noise: one ray through the middle of each pixel, marched with fixed steps through
+// cells that are not empty. The field is looked up once a step; the transfer function is evaluated
+// at several places between, as if the field were linear there.
+
+#import holovol_render::bindings::{scene, views}
+#import holovol_render::field::{field_at, field_gradient}
+#import holovol_render::transfer_function::{transfer_sigma_t, transfer_material}
+#import holovol_render::walk::{walk_start, walk_majorant, load_occupied}
+#import holovol_render::denoise::common::{
+    denoise, state, keys, Key, pack_key, half_now, albedo_at, mean_rgb,
+}
+
+// Texels of a step, and evaluations of the transfer function in it.
+const STEP: f32 = 2.0;
+const PARTS: u32 = 3u;
+// Steps at most: a volume of 4096 texels a side is crossed; longer ones in longer steps.
+const MAX_STEPS: f32 = 4096.0;
+// What is left behind this transmittance is taken to be as what is in front.
+const OPAQUE: f32 = 0.04;
+// The normal is taken where this transmittance is reached.
+const NORMAL_TRANSMITTANCE: f32 = 0.6;
+const CELL_SIZE: f32 = #{CELL_SIZE}.0;
+
+@compute @workgroup_size(64)
+fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let position = 8u * group.xy
+        + vec2<u32>((local & 3u) | ((local >> 1u) & 4u), ((local >> 2u) & 1u) | ((local >> 3u) & 6u));
+    let eye = group.z;
+    let size = denoise.eyes[eye].image.xy;
+    if any(position >= size) {
+        return;
+    }
+    let slot = denoise.eyes[eye].place.x;
+    load_occupied();
+    let p = vec2<f32>(position) + 0.5;
+    let origin = (views[slot].ray_origin + p.x * views[slot].ray_origin_dx + p.y * views[slot].ray_origin_dy).xyz;
+    let texel = (views[slot].ray_texel + p.x * views[slot].ray_texel_dx + p.y * views[slot].ray_texel_dy).xyz;
+    let world = (views[slot].ray_world + p.x * views[slot].ray_world_dx + p.y * views[slot].ray_world_dy).xyz;
+    // Distances along the ray are depths along the eye's axis, from near on.
+    let near = views[slot].forward.w;
+    let length_world = length(world);
+    let walk = walk_start(origin, texel, 0.0, 0.0);
+    let texels_per_depth = max(length(texel), 1e-30);
+    let range = walk.t_end - walk.t_cell;
+    let dt = max(STEP / texels_per_depth, range / MAX_STEPS);
+    let metres = dt * length_world / f32(PARTS);
+    let inverse = 1.0 / select(texel, vec3<f32>(1e-30), abs(texel) < vec3<f32>(1e-30));
+    let ahead = select(vec3<f32>(0.0), vec3<f32>(1.0), texel > vec3<f32>(0.0));
+    let last_cell = vec3<i32>(scene.cells.xyz) - 1;
+
+    var transmittance = 1.0;
+    var albedo = vec3<f32>(0.0);
+    // Of depths behind the entry: their variance outlives rounding.
+    var sum = 0.0;
+    var sum2 = 0.0;
+    var normal_depth = -1.0;
+    var t = walk.t_cell;
+    var s = 0.0;
+    var known = false;
+    var steps = 0.0;
+    while t < walk.t_end && transmittance > OPAQUE && steps < 2.0 * MAX_STEPS && range > 0.0 {
+        steps += 1.0;
+        let at = origin + (t + 0.5 * dt) * texel;
+        let cell = clamp(vec3<i32>(floor(at / CELL_SIZE)), vec3<i32>(0), last_cell);
+        if walk_majorant(cell) <= 0.0 {
+            let exits = (CELL_SIZE * (vec3<f32>(cell) + ahead) - origin) * inverse;
+            let t_exit = min(exits.x, min(exits.y, exits.z));
+            t += dt * max(1.0, floor((t_exit - t) / dt));
+            known = false;
+            continue;
+        }
+        if !known {
+            s = field_at(origin + t * texel);
+        }
+        let next = field_at(origin + (t + dt) * texel);
+        for (var k = 0u; k < PARTS; k += 1u) {
+            let part = (f32(k) + 0.5) / f32(PARTS);
+            let value = mix(s, next, part);
+            let weight = transmittance * (1.0 - exp(-transfer_sigma_t(value) * metres));
+            let depth = t - walk.t_cell + part * dt;
+            albedo += weight * transfer_material(value).albedo;
+            sum += weight * depth;
+            sum2 += weight * depth * depth;
+            transmittance -= weight;
+            if normal_depth < 0.0 && transmittance < NORMAL_TRANSMITTANCE {
+                normal_depth = depth;
+            }
+        }
+        s = next;
+        known = true;
+        t += dt;
+    }
+    var opacity = 1.0 - transmittance;
+    let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
+    var key = Key(0.0, vec3<f32>(0.0, 0.0, 1.0), 0.0, 0.0, 0.0);
+    if opacity > 1e-4 {
+        let mean = sum / opacity;
+        let variance = max(sum2 / opacity - mean * mean, 0.0);
+        if transmittance <= OPAQUE {
+            albedo /= opacity;
+            opacity = 1.0;
+        }
+        let at = walk.t_cell + select(mean, normal_depth, normal_depth >= 0.0);
+        let gradient = field_gradient(origin + at * texel);
+        let magnitude = length(gradient);
+        if magnitude > 0.0 && magnitude < 1e30 {
+            key.normal = gradient / magnitude;
+        }
+        // Black media have an opacity all the same.
+        key.albedo = max(mean_rgb(albedo), 1e-4 * opacity);
+        key.depth = near + walk.t_cell + mean;
+        key.spread = sqrt(variance);
+    } else {
+        opacity = 0.0;
+        albedo = vec3<f32>(0.0);
+    }
+    keys[half_now() + pixel] = pack_key(key);
+    state[albedo_at(pixel)] = vec4<f32>(albedo, opacity);
+}

@@ -1,0 +1,369 @@
+// The denoiser's own mode, pass by pass; docs/denoising.md explains it.
+
+#import holovol_render::denoise::common::{
+    denoise, state, keys, counts, tiles, noisy, output, Key, unpack_key, with_frames,
+    guide_distance, half_now, half_before, albedo_at, scratch_at, both_at, tile_at, tile_sums,
+    tile_memory, tile_result, tile_rows, mean_rgb, all_finite, HISTORY_MOVED, HISTORY_SAME,
+    HISTORY_NONE, ALBEDO_FLOOR, LARGEST, TILE,
+}
+
+// Weights of history and of the other eye below this are nothing.
+const NO_WEIGHT: f32 = 0.02;
+// Of the samples' relative variance: differences of filtered light up to here are its own noise.
+const LIGHT_NOISE: f32 = 0.04;
+// Pixels to each side that the last pass filters over.
+const RADIUS: i32 = #{RADIUS};
+// Loops of one round stand for branches here: software rasterisers run both sides of a branch, but
+// leave a loop that no lane wants.
+
+struct Fetched {
+    light: vec4<f32>,
+    frames: f32,
+    filtered: f32,
+    // How well its guides fit, 0 to 1.
+    fit: f32,
+}
+
+fn pixel_of(group: vec3<u32>, local: u32) -> vec2<u32> {
+    return TILE * group.xy + vec2<u32>(local % TILE, local / TILE);
+}
+
+// Bilinear over four pixels whose guides fit; their weight is that of the history.
+fn fetch(key: Key, position: vec3<f32>, eye: u32, keys_first: u32, state_first: u32, counts_first: u32, strictness: f32) -> Fetched {
+    var found = Fetched(vec4<f32>(0.0), 0.0, 0.0, 0.0);
+    let size = vec2<i32>(denoise.eyes[eye].image.xy);
+    let pixel_size = denoise.eyes[eye].turn_x.w;
+    var here = key;
+    here.depth = position.z;
+    let place = position.xy / position.z - 0.5;
+    if !(position.z > 0.0) || !(all(place > vec2<f32>(-1.0)) && all(place < vec2<f32>(size))) {
+        return found;
+    }
+    let base = floor(place);
+    let weight = place - base;
+    var total = 0.0;
+    for (var k = 0; k < 4; k += 1) {
+        let offset = vec2<i32>(k & 1, k >> 1u);
+        let at = vec2<i32>(base) + offset;
+        if any(at < vec2<i32>(0)) || any(at >= size) {
+            continue;
+        }
+        let pixel = denoise.eyes[eye].image.w + u32(at.x + size.x * at.y);
+        let there = unpack_key(keys[keys_first + pixel]);
+        if there.albedo <= 0.0 || there.frames <= 0.0 {
+            continue;
+        }
+        let side = select(1.0 - weight, weight, offset == vec2<i32>(1));
+        let w = side.x * side.y / (1.0 + strictness * guide_distance(here, there, pixel_size));
+        let count = counts[counts_first + pixel];
+        total += w;
+        found.light += w * state[state_first + pixel];
+        found.frames += w * count.x;
+        found.filtered += w * count.y;
+    }
+    if total < NO_WEIGHT {
+        return Fetched(vec4<f32>(0.0), 0.0, 0.0, 0.0);
+    }
+    found.light /= total;
+    found.filtered /= total;
+    found.fit = total;
+    return found;
+}
+
+fn position_of(eye: u32, pixel: vec2<u32>, depth: f32) -> vec4<f32> {
+    let p = vec2<f32>(pixel) + 0.5;
+    let ray = denoise.eyes[eye].direction + p.x * denoise.eyes[eye].direction_dx
+        + p.y * denoise.eyes[eye].direction_dy;
+    return vec4<f32>(depth * ray.xyz, 1.0);
+}
+
+// This frame's light and opacity of a pixel; opacity -1 if a sample was not finite.
+fn new_light(eye: u32, pixel: u32, scale: vec3<f32>) -> vec4<f32> {
+    let in_eye = pixel - denoise.eyes[eye].image.w + denoise.eyes[eye].image.z;
+    let sum = noisy[2u * in_eye] + noisy[2u * in_eye + 1u];
+    let mean = sum / f32(max(denoise.eyes[eye].frame.x, 1u));
+    if !all_finite(mean) {
+        return vec4<f32>(0.0, 0.0, 0.0, -1.0);
+    }
+    return vec4<f32>(clamp(mean.rgb / scale, vec3<f32>(0.0), vec3<f32>(LARGEST)), mean.a);
+}
+
+// 1. What this frame's samples and the history say of each pixel, and of each row of a tile. A lane
+// takes the eight pixels of such a row: sums need no other lane.
+@compute @workgroup_size(64)
+fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let eye = group.z;
+    let row = vec2<u32>(TILE * group.x + local / TILE, TILE * group.y + local % TILE);
+    let size = denoise.eyes[eye].image.xy;
+    let across = denoise.eyes[eye].frame.w;
+    if row.x >= across || group.y * TILE >= size.y {
+        return;
+    }
+    var sums = array<vec4<f32>, 3>(vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0));
+    let end = select(min(TILE * (row.x + 1u), size.x), 0u, row.y >= size.y);
+    for (var x = TILE * row.x; x < end; x += 1u) {
+        let position = vec2<u32>(x, row.y);
+        let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
+        let before = history_of(eye, position, pixel);
+        state[scratch_at(pixel)] = before.light;
+        counts[both_at(pixel)] = vec2<f32>(before.frames, before.filtered);
+        let is_met = bitcast<f32>(keys[half_now() + pixel].x) > 0.0;
+        for (var once = is_met && before.frames > 0.0; once; once = false) {
+            let scale = state[albedo_at(pixel)].rgb + ALBEDO_FLOOR;
+            let light = new_light(eye, pixel, scale);
+            let old = before.light.rgb * scale;
+            let difference = light.rgb * scale - old;
+            let d = mean_rgb(difference);
+            let mean = mean_rgb(old);
+            let filtered = before.filtered * mean_rgb(scale);
+            let by_filter = filtered - mean;
+            let w = 1.0 / (filtered * filtered + denoise.tiles.z);
+            if light.a >= 0.0 {
+                sums[0] += vec4<f32>(difference, d * d);
+                sums[1] += vec4<f32>(old, mean * mean);
+                sums[2] += vec4<f32>(d * by_filter * w, by_filter * by_filter * w, d * d * w, 1.0);
+            }
+        }
+    }
+    let tile = denoise.eyes[eye].frame.z + row.x + across * group.y;
+    for (var k = 0u; k < 3u; k += 1u) {
+        tiles[tile_rows(k) + TILE * tile + local % TILE] = sums[k];
+    }
+}
+
+fn history_of(eye: u32, position: vec2<u32>, pixel: u32) -> Fetched {
+    let history = denoise.eyes[eye].frame.y;
+    var before = Fetched(vec4<f32>(0.0), 0.0, 0.0, 0.0);
+    if history == HISTORY_SAME {
+        let count = counts[half_before() + pixel];
+        before = Fetched(state[half_before() + pixel], count.x, count.y, 1.0);
+    } else if history == HISTORY_MOVED {
+        let words = keys[half_now() + pixel];
+        for (var once = bitcast<f32>(words.x) > 0.0; once; once = false) {
+            let key = unpack_key(words);
+            let here = position_of(eye, position, key.depth);
+            let there = vec3<f32>(
+                dot(denoise.eyes[eye].previous_x, here),
+                dot(denoise.eyes[eye].previous_y, here),
+                dot(denoise.eyes[eye].previous_depth, here),
+            );
+            var turned = key;
+            turned.normal = vec3<f32>(
+                dot(denoise.eyes[eye].turn_x.xyz, key.normal),
+                dot(denoise.eyes[eye].turn_y.xyz, key.normal),
+                dot(denoise.eyes[eye].turn_z.xyz, key.normal),
+            );
+            before = fetch(turned, there, eye, half_before(), half_before(), half_before(), denoise.across.x);
+        }
+    }
+    before.frames = min(before.frames * denoise.eyes[eye].history.y, denoise.eyes[eye].history.x);
+    // After an edit what is left is for pixels that it did not touch.
+    if denoise.eyes[eye].history.z > 0.0 {
+        before.frames *= before.fit * before.fit;
+    }
+    return before;
+}
+
+// 2a. Rows of a tile together.
+@compute @workgroup_size(64)
+fn add_rows(@builtin(global_invocation_id) invocation: vec3<u32>) {
+    if invocation.x >= denoise.counts.z {
+        return;
+    }
+    for (var k = 0u; k < 3u; k += 1u) {
+        var sum = vec4<f32>(0.0);
+        for (var row = 0u; row < TILE; row += 1u) {
+            sum += tiles[tile_rows(k) + TILE * invocation.x + row];
+        }
+        tiles[tile_sums(k) + invocation.x] = sum;
+    }
+}
+
+// 2b. How far the history lags behind around each tile, its noise, and whether filtering paid.
+@compute @workgroup_size(64)
+fn judge(@builtin(global_invocation_id) invocation: vec3<u32>) {
+    let eye = invocation.y;
+    let across = denoise.eyes[eye].frame.w;
+    let down = (denoise.eyes[eye].image.y + TILE - 1u) / TILE;
+    if invocation.x >= across * down {
+        return;
+    }
+    let place = vec2<i32>(i32(invocation.x % across), i32(invocation.x / across));
+    let last = vec2<i32>(i32(across), i32(down)) - 1;
+    let first = denoise.eyes[eye].frame.z;
+    let memory_factor = denoise.tiles.w;
+    var difference = vec4<f32>(0.0);
+    var old = vec4<f32>(0.0);
+    var variance = 0.0;
+    var memory = vec4<f32>(0.0);
+    var own = vec4<f32>(0.0);
+    for (var k = 0; k < 9; k += 1) {
+        let offset = vec2<i32>(k % 3, k / 3) - 1;
+        let at = clamp(place + offset, vec2<i32>(0), last);
+        let tile = first + u32(at.x) + across * u32(at.y);
+        let side = vec2<f32>(2.0 - abs(vec2<f32>(offset)));
+        let w = side.x * side.y / 16.0;
+        let sums = tiles[tile_sums(0u) + tile];
+        difference += w * sums;
+        variance += w * w * sums.w;
+        old += w * tiles[tile_sums(1u) + tile];
+        var remembered = tiles[tile_sums(2u) + tile];
+        if denoise.eyes[eye].frame.y != HISTORY_NONE {
+            remembered += memory_factor * tiles[tile_memory(false) + tile];
+        }
+        memory += w * remembered;
+        if k == 4 {
+            own = remembered;
+        }
+    }
+    tiles[tile_memory(true) + first + invocation.x] = own;
+
+    // A lag that noise explains is none.
+    let lag = mean_rgb(difference.rgb);
+    let significance = lag * lag / max(variance, 1e-30) - 1.0;
+    let gain = max(significance, 0.0) / (max(significance, 0.0) + denoise.tiles.x);
+    var correction = gain * difference.rgb / max(old.rgb, vec3<f32>(1e-20));
+    correction = clamp(correction, vec3<f32>(-0.9), vec3<f32>(4.0));
+    correction = select(vec3<f32>(0.0), correction, old.rgb > vec3<f32>(1e-20));
+    var shortening = min(mean_rgb(abs(correction)), 1.0) * denoise.tiles.y;
+    if denoise.eyes[eye].frame.y == HISTORY_SAME {
+        correction = vec3<f32>(0.0);
+        shortening = 0.0;
+    }
+    // Least squares of the new samples on what the filter had changed: they share no noise.
+    let prior = 1e-3 * memory.z + 1e-20;
+    let weight = clamp((memory.x + prior) / (memory.y + prior), 0.0, 1.0);
+    let noise = select(denoise.across.w, difference.w / max(old.w, 1e-30), old.w > 1e-30);
+    tiles[tile_result(0u) + first + invocation.x] = vec4<f32>(correction, shortening);
+    tiles[tile_result(1u) + first + invocation.x] =
+        vec4<f32>(weight, clamp(noise, 0.003, 1.0), 0.0, 0.0);
+}
+
+// 3. The new samples join the corrected history.
+@compute @workgroup_size(64)
+fn blend(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let eye = group.z;
+    let position = pixel_of(group, local);
+    let size = denoise.eyes[eye].image.xy;
+    if any(position >= size) {
+        return;
+    }
+    let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
+    let scale = state[albedo_at(pixel)].rgb + ALBEDO_FLOOR;
+    let light = new_light(eye, pixel, scale);
+    var old = state[scratch_at(pixel)];
+    let count = counts[both_at(pixel)];
+    var frames = count.x;
+    for (var once = denoise.eyes[eye].frame.y == HISTORY_MOVED && frames > 0.0; once; once = false) {
+        let tile = tile_at(eye, position, 0u);
+        old = vec4<f32>(old.rgb * (1.0 + tile.rgb), old.a);
+        frames /= 1.0 + frames * tile.w;
+    }
+    if light.a >= 0.0 {
+        old += (light - old) / (frames + 1.0);
+        frames += 1.0;
+    } else if frames == 0.0 {
+        old = vec4<f32>(0.0);
+    }
+    state[half_now() + pixel] = old;
+    counts[half_now() + pixel] = vec2<f32>(frames, 0.0);
+    keys[half_now() + pixel] = with_frames(keys[half_now() + pixel], frames);
+}
+
+// 4. What the other eye has of the same place.
+@compute @workgroup_size(64)
+fn stereo(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let eye = group.z;
+    let position = pixel_of(group, local);
+    let size = denoise.eyes[eye].image.xy;
+    if any(position >= size) {
+        return;
+    }
+    let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
+    let words = keys[half_now() + pixel];
+    let key = unpack_key(words);
+    var light = state[half_now() + pixel];
+    var frames = counts[half_now() + pixel].x;
+    for (var once = denoise.counts.x == 2u && key.albedo > 0.0; once; once = false) {
+        let here = position_of(eye, position, key.depth);
+        let there = vec3<f32>(
+            dot(denoise.eyes[eye].other_x, here),
+            dot(denoise.eyes[eye].other_y, here),
+            dot(denoise.eyes[eye].other_depth, here),
+        );
+        let other = fetch(key, there, 1u - eye, half_now(), half_now(), half_now(), denoise.across.y);
+        if other.frames > 0.0 {
+            // However many frames it has, it may be off by its bias.
+            let noise = tile_at(eye, position, 1u).y;
+            let worth = other.frames / (1.0 + other.frames * denoise.across.z / noise);
+            light = mix(light, other.light, worth / (frames + worth));
+            frames += worth;
+        }
+    }
+    state[scratch_at(pixel)] = light;
+    keys[both_at(pixel)] = with_frames(words, frames);
+}
+
+// What the last frame's filter found says where light changes though guides don't: shadows.
+// Guides are (frames, filtered light) of the history.
+fn light_distance(a: vec2<f32>, b: vec2<f32>, noise: f32) -> f32 {
+    let difference = a.y - b.y;
+    let trust = min(0.5 * min(a.x, b.x), 1.0);
+    let mean = 0.5 * (a.y * a.y + b.y * b.y) + denoise.tiles.z;
+    return denoise.edges.x * trust * max(difference * difference / mean - LIGHT_NOISE * noise, 0.0);
+}
+
+// 5. A filter over neighbours, each weighed by its noise and by what its guides differ.
+@compute @workgroup_size(64)
+fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let eye = group.z;
+    let position = pixel_of(group, local);
+    let size = denoise.eyes[eye].image.xy;
+    if any(position >= size) {
+        return;
+    }
+    let first = denoise.eyes[eye].image.w;
+    let pixel = first + position.x + size.x * position.y;
+    let own = state[half_now() + pixel];
+    let scale = state[albedo_at(pixel)].rgb + ALBEDO_FLOOR;
+    let words = keys[both_at(pixel)];
+    var result = own;
+    var filtered = own;
+    for (var once = bitcast<f32>(words.x) > 0.0; once; once = false) {
+        let pixel_size = denoise.eyes[eye].turn_x.w;
+        let key = unpack_key(words);
+        let tile = tile_at(eye, position, 1u);
+        let own_frames = counts[half_now() + pixel].x;
+        let centre = max(key.frames, 0.5);
+        var light = centre * state[scratch_at(pixel)];
+        var total = centre;
+        let low = max(vec2<i32>(position) - RADIUS, vec2<i32>(0));
+        let high = min(vec2<i32>(position) + RADIUS, vec2<i32>(size) - 1);
+        let inverse_noise = 1.0 / tile.y;
+        let guide = counts[both_at(pixel)];
+        for (var y = low.y; y <= high.y; y += 1) {
+            // Corners are cut: an octagon.
+            let reach = RADIUS - max(0, abs(y - i32(position.y)) - RADIUS / 2);
+            let left = max(low.x, i32(position.x) - reach);
+            let right = min(high.x, i32(position.x) + reach);
+            for (var x = left; x <= right; x += 1) {
+                let at = first + u32(x) + size.x * u32(y);
+                let there = unpack_key(keys[both_at(at)]);
+                let offset = vec2<f32>(vec2<i32>(x, y) - vec2<i32>(position));
+                let r2 = dot(offset, offset);
+                let bias = guide_distance(key, there, pixel_size) + denoise.bias.x * r2
+                    + light_distance(guide, counts[both_at(at)], tile.y);
+                let fits = 1.0 / (1.0 + bias * there.frames * inverse_noise);
+                let w = select(0.0, fits * fits * there.frames, r2 > 0.0);
+                total += w;
+                light += w * state[scratch_at(at)];
+            }
+        }
+        filtered = light / total;
+        // However sure the tile is, its error must fall with the noise of the samples.
+        let weight = min(tile.x, #{FADE_FRAMES}.0 / (#{FADE_FRAMES}.0 + own_frames));
+        result = mix(own, filtered, weight);
+    }
+    counts[half_now() + pixel].y = mean_rgb(filtered.rgb * scale) / mean_rgb(scale);
+    output[pixel] = vec4<f32>(result.rgb * scale, clamp(result.a, 0.0, 1.0));
+}
