@@ -1,9 +1,24 @@
 //! `holovol preview`: a window in which scans are looked at.
 
 mod camera;
+mod lights;
+mod look;
+mod measure;
 mod open;
+mod overlay;
 mod panel;
+mod pictures;
+mod pointer;
+mod presets;
 mod quality;
+mod scene_io;
+mod settings;
+mod slice_views;
+mod slices;
+mod studio;
+#[cfg(test)]
+mod tests;
+mod transfer;
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -91,8 +106,12 @@ pub(crate) fn run(args: &PreviewArgs) -> Result<(), Failure> {
         camera::CameraPlugin,
         open::OpenPlugin,
         panel::PanelPlugin,
+        pointer::PointerPlugin,
         quality::QualityPlugin,
+        studio::StudioPlugin,
     ))
+    .insert_resource(settings::Settings::load())
+    .init_resource::<pictures::Pictures>()
     .add_systems(Startup, setup)
     .add_systems(Last, (title, keep_drawing, end_after_frames));
     match app.run() {
@@ -153,9 +172,15 @@ fn keep_drawing(
     statistics: Res<bevy_holovol::VolumeStatistics>,
     opening: Res<open::Opening>,
     session: Res<Session>,
+    studio: Res<studio::Studio>,
+    applied: Res<studio::Applied>,
+    pictures: Res<pictures::Pictures>,
     mut redraw: MessageWriter<RequestRedraw>,
 ) {
-    if !statistics.get().is_done || opening.is_busy() || session.frames_left.is_some() {
+    let is_tracing = studio.scan.is_some() && !statistics.get().is_done;
+    let is_working = opening.is_busy() || pictures.progress().is_some();
+    let is_changing = applied.is_behind(&studio.look) || session.frames_left.is_some();
+    if is_tracing || is_working || is_changing {
         redraw.write(RequestRedraw);
     }
 }
