@@ -138,8 +138,8 @@ impl Overview {
             .filter(|(_, power)| luminance(*power) > 1e-4 * self.mean * solid_angle(HEIGHT / 2))
             .collect();
         let pixel = |index: usize| {
-            let [x, y] = [index % size, index / size]
-                .map(|i| 2.0 * (i as f64 + 0.5) / size as f64 - 1.0);
+            let [x, y] =
+                [index % size, index / size].map(|i| 2.0 * (i as f64 + 0.5) / size as f64 - 1.0);
             let square = x * x + y * y;
             if square >= 1.0 {
                 return [0; 4];
@@ -188,10 +188,8 @@ mod tests {
         let (width, height) = (256, 128);
         let texels = (0..width * height).map(|i| {
             let uv = [(i % width) as f64 + 0.5, (i / width) as f64 + 0.5];
-            let at = EnvironmentMap::direction_from_uv([
-                uv[0] / width as f64,
-                uv[1] / height as f64,
-            ]);
+            let at =
+                EnvironmentMap::direction_from_uv([uv[0] / width as f64, uv[1] / height as f64]);
             [if at.dot(lamp) > 0.99 { 500.0 } else { 0.1 }; 3]
         });
         EnvironmentMap::new(width, height, texels.collect())
@@ -208,7 +206,11 @@ mod tests {
             // 500 · 2π · 0.01 of that and 0.1 · 4π.
             assert!((lights[0].share - 0.962).abs() < 0.02, "{lights:?}");
         }
-        assert!(Overview::new(&EnvironmentMap::constant([1.0; 3])).lights().is_empty());
+        assert!(
+            Overview::new(&EnvironmentMap::constant([1.0; 3]))
+                .lights()
+                .is_empty()
+        );
     }
 
     #[test]

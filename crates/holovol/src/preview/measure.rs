@@ -34,9 +34,7 @@ pub(crate) fn first_hit(scan: &Scan, look: &Look, ray: Ray) -> Option<Hit> {
     let [from, to] = part_inside(unit_from_world, &planes, ray)?;
     let volume = scan.volume();
     let finest = (0..3)
-        .map(|axis| {
-            matrix.col(axis).truncate().length() / f64::from(volume.dims()[axis].max(1))
-        })
+        .map(|axis| matrix.col(axis).truncate().length() / f64::from(volume.dims()[axis].max(1)))
         .fold(f64::INFINITY, f64::min);
     let step = (0.5 * finest).max((to - from) / STEPS_MAX);
     let [low, high] = look.window;
@@ -95,10 +93,7 @@ pub(crate) fn length_text(metres: f64) -> String {
         "m" => metres >= 1.0,
         _ => metres >= 0.999 * unit,
     };
-    let &(unit, name) = UNITS
-        .iter()
-        .find(fits)
-        .unwrap_or(&UNITS[UNITS.len() - 1]);
+    let &(unit, name) = UNITS.iter().find(fits).unwrap_or(&UNITS[UNITS.len() - 1]);
     let number = metres / unit;
     let digits = match number {
         n if n >= 99.95 => 0,

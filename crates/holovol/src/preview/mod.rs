@@ -175,9 +175,10 @@ fn keep_drawing(
     studio: Res<studio::Studio>,
     applied: Res<studio::Applied>,
     pictures: Res<pictures::Pictures>,
+    quality: Res<quality::Quality>,
     mut redraw: MessageWriter<RequestRedraw>,
 ) {
-    let is_tracing = studio.scan.is_some() && !statistics.get().is_done;
+    let is_tracing = studio.scan.is_some() && (!statistics.get().is_done || quality.is_paused());
     let is_working = opening.is_busy() || pictures.progress().is_some();
     let is_changing = applied.is_behind(&studio.look) || session.frames_left.is_some();
     if is_tracing || is_working || is_changing {

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::thread::JoinHandle;
 
 use bevy::prelude::*;
-use bevy::tasks::{AsyncComputeTaskPool, Task, futures::check_ready};
 use bevy_holovol::SceneParts;
 use bevy_holovol::environment::DEFAULT_INTENSITY;
 use bevy_holovol::prelude::*;
@@ -42,7 +42,7 @@ struct Reading {
     /// Of what a person opened.
     path: Option<PathBuf>,
     progress: Arc<[AtomicU64; 2]>,
-    task: Task<Result<Opened, String>>,
+    thread: JoinHandle<Result<Opened, String>>,
 }
 
 enum Opened {
@@ -101,7 +101,8 @@ impl Opening {
             name,
             path: None,
             progress,
-            task: AsyncComputeTaskPool::get().spawn(async move { read(&told) }),
+            // Not on Bevy's workers: the window's own pipelines are compiled by these meanwhile.
+            thread: std::thread::spawn(move || read(&told)),
         });
     }
 }
@@ -153,7 +154,10 @@ fn open_first(mut opening: ResMut<Opening>, files: Res<FirstFiles>) {
     } else {
         opening.begin("a head phantom in a room".into(), |_| {
             let scene = demo::scene_in_memory().map_err(|failure| failure.to_string())?;
-            Ok(Opened::Scene(Box::new(OpenedScene::new(scene))))
+            let mut opened = OpenedScene::new(scene);
+            // Its values are names of materials; slices show these apart.
+            opened.scan.grey = [2.0, -14.0];
+            Ok(Opened::Scene(Box::new(opened)))
         });
     }
 }
@@ -168,13 +172,21 @@ fn dropped(mut events: MessageReader<FileDragAndDrop>, mut opening: ResMut<Openi
 
 /// Takes in what has been read, and goes on with the next.
 fn finish(mut opening: ResMut<Opening>, mut session: ResMut<Session>, mut show: Show) {
-    if let Some(reading) = &mut opening.reading {
-        let Some(result) = check_ready(&mut reading.task) else {
-            return;
-        };
-        let name = std::mem::take(&mut reading.name);
-        let path = reading.path.take();
-        opening.reading = None;
+    if opening
+        .reading
+        .as_ref()
+        .is_some_and(|r| !r.thread.is_finished())
+    {
+        return;
+    }
+    if let Some(reading) = opening.reading.take() {
+        let (name, path) = (reading.name, reading.path);
+        let result = reading.thread.join().unwrap_or_else(|_| {
+            Err(format!(
+                "{name} could not be read, by a mistake of this program; please report it with \
+                 the file's format"
+            ))
+        });
         match result {
             Ok(opened) => {
                 show.show(&mut session, name, opened);

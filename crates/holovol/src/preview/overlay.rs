@@ -74,7 +74,10 @@ struct Projector<'a> {
 
 impl Projector<'_> {
     fn at(&self, point: DVec3) -> Option<Pos2> {
-        let at = self.camera.world_to_viewport(self.transform, point.as_vec3()).ok()?;
+        let at = self
+            .camera
+            .world_to_viewport(self.transform, point.as_vec3())
+            .ok()?;
         let at = at / self.zoom;
         at.is_finite().then(|| Pos2::new(at.x, at.y))
     }
@@ -90,7 +93,12 @@ impl Projector<'_> {
 
 const ACCENT: Color32 = Color32::from_rgb(255, 196, 64);
 
-pub(crate) fn draw(context: &egui::Context, free: egui::Rect, panel: &mut Panel, shown: &mut Shown) {
+pub(crate) fn draw(
+    context: &egui::Context,
+    free: egui::Rect,
+    panel: &mut Panel,
+    shown: &mut Shown,
+) {
     let studio = &mut *shown.studio;
     let Some(scan) = &studio.scan else { return };
     let Ok((orbit, camera, transform, ..)) = shown.cameras.get(shown.session.camera) else {
@@ -176,7 +184,11 @@ fn crop(
     let matrix: DMat4 = scan.world_from_unit_cube();
     let corner = |bits: usize| {
         let pick = |axis: usize| {
-            let end = if bits >> axis & 1 == 1 { crop.high } else { crop.low };
+            let end = if bits >> axis & 1 == 1 {
+                crop.high
+            } else {
+                crop.low
+            };
             end[axis]
         };
         matrix.transform_point3(DVec3::new(pick(0), pick(1), pick(2)))
@@ -193,7 +205,9 @@ fn crop(
         for is_high in [false, true] {
             let middle = crop.middle_of_side(axis, is_high);
             let at = matrix.transform_point3(middle);
-            let Some(place) = project.at(at) else { continue };
+            let Some(place) = project.at(at) else {
+                continue;
+            };
             let drag = handle(context, egui::Id::new(("crop", axis, is_high)), place);
             let edge = matrix.col(axis).truncate();
             if drag != Vec2::ZERO
@@ -231,7 +245,9 @@ fn planes(
         }
         let arrow = [at, at + plane.normal * 0.25 * radius];
         project.line(painter, arrow, Stroke::new(2.0, ACCENT));
-        let Some(place) = project.at(arrow[1]) else { continue };
+        let Some(place) = project.at(arrow[1]) else {
+            continue;
+        };
         let drag = handle(context, egui::Id::new(("plane", index)), place);
         if drag != Vec2::ZERO
             && let Some(part) = along(project, arrow[1], plane.normal * radius, drag)
@@ -243,7 +259,12 @@ fn planes(
 
 fn text(painter: &egui::Painter, at: Pos2, align: Align2, text: &str, size: f32, color: Color32) {
     let font = FontId::proportional(size);
-    for shift in [vec2(1.0, 1.0), vec2(-1.0, 1.0), vec2(1.0, -1.0), vec2(-1.0, -1.0)] {
+    for shift in [
+        vec2(1.0, 1.0),
+        vec2(-1.0, 1.0),
+        vec2(1.0, -1.0),
+        vec2(-1.0, -1.0),
+    ] {
         let shadow = Color32::from_black_alpha(170);
         painter.text(at + shift, align, text, font.clone(), shadow);
     }
@@ -266,7 +287,14 @@ fn ruler(
         project.line(painter, [a, b], Stroke::new(2.0, ACCENT));
         if let Some(at) = project.at(0.5 * (a + b)) {
             let label = length_text(length);
-            text(painter, at - vec2(0.0, 12.0), Align2::CENTER_BOTTOM, &label, 16.0, ACCENT);
+            text(
+                painter,
+                at - vec2(0.0, 12.0),
+                Align2::CENTER_BOTTOM,
+                &label,
+                16.0,
+                ACCENT,
+            );
         }
         return;
     }
@@ -312,7 +340,14 @@ fn orientation(
         };
         painter.line_segment([middle, middle + arm * 0.72], Stroke::new(2.0, color));
         let name = direction_name(axis, is_positive, is_patient);
-        text(painter, middle + arm, Align2::CENTER_CENTER, name, 14.0, color);
+        text(
+            painter,
+            middle + arm,
+            Align2::CENTER_CENTER,
+            name,
+            14.0,
+            color,
+        );
     }
 }
 
@@ -322,7 +357,8 @@ fn scale(painter: &egui::Painter, free: egui::Rect, metres_per_point: f64) {
         return;
     };
     let half = 0.5 * (metres / metres_per_point) as f32;
-    let middle = free.center_bottom() - vec2(0.0, 22.0);
+    // To the left of the orientation.
+    let middle = free.right_bottom() - vec2(130.0 + half, 22.0);
     let [left, right] = [-half, half].map(|x| middle + vec2(x, 0.0));
     for (width, color) in [(4.0, Color32::from_black_alpha(170)), (2.0, Color32::WHITE)] {
         let stroke = Stroke::new(width, color);
@@ -332,7 +368,14 @@ fn scale(painter: &egui::Painter, free: egui::Rect, metres_per_point: f64) {
         }
     }
     let at = middle - vec2(0.0, 6.0);
-    text(painter, at, Align2::CENTER_BOTTOM, &name, 14.0, Color32::WHITE);
+    text(
+        painter,
+        at,
+        Align2::CENTER_BOTTOM,
+        &name,
+        14.0,
+        Color32::WHITE,
+    );
 }
 
 #[cfg(test)]

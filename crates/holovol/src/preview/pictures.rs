@@ -216,8 +216,7 @@ impl Camera {
 
 /// `frames` views once around what is looked at, the first where the camera stands.
 pub(crate) fn turntable(view: &Viewpoint, frames: u32) -> Vec<CameraEntry> {
-    let target =
-        view.transform.translation + view.transform.forward().as_vec3() * view.distance;
+    let target = view.transform.translation + view.transform.forward().as_vec3() * view.distance;
     (0..frames)
         .map(|frame| {
             let turn = Quat::from_rotation_y(std::f32::consts::TAU * frame as f32 / frames as f32);

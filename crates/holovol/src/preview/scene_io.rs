@@ -117,9 +117,8 @@ pub(crate) fn save(
             let name = beside(".nrrd");
             let place = folder.join(&name);
             output::check(&place, "nrrd", "the scan")?;
-            holovol_volume::write(scan.volume(), &place, true).map_err(|error| {
-                Failure::new(crate::Exit::Output, error.to_string())
-            })?;
+            holovol_volume::write(scan.volume(), &place, true)
+                .map_err(|error| Failure::new(crate::Exit::Output, error.to_string()))?;
             written.push(place);
             name
         }

@@ -29,7 +29,9 @@ struct Drawn {
 
 pub(crate) fn draw(context: &egui::Context, panel: &mut Panel, shown: &mut Shown) {
     let views = &mut panel.slices;
-    let Some(scan) = &mut shown.studio.scan else { return };
+    let Some(scan) = &mut shown.studio.scan else {
+        return;
+    };
     if !views.is_open {
         return;
     }
@@ -61,7 +63,10 @@ pub(crate) fn draw(context: &egui::Context, panel: &mut Panel, shown: &mut Shown
                     scan.grey = [low, high];
                 }
             });
-            let unit = scan.world_from_unit_cube().inverse().transform_point3(cross);
+            let unit = scan
+                .world_from_unit_cube()
+                .inverse()
+                .transform_point3(cross);
             let value = scan.volume().sample(unit);
             ui.label(format!("value {value:.2}"));
         });
@@ -129,7 +134,13 @@ fn one(
         format!("{left}{right} {bottom}{top}")
     };
     let corner = rect.left_top() + vec2(3.0, 2.0);
-    painter.text(corner, Align2::LEFT_TOP, name, FontId::proportional(11.0), Color32::GRAY);
+    painter.text(
+        corner,
+        Align2::LEFT_TOP,
+        name,
+        FontId::proportional(11.0),
+        Color32::GRAY,
+    );
     let mut moved = cross;
     if (response.clicked() || response.dragged())
         && let Some(to) = response.interact_pointer_pos()

@@ -90,9 +90,9 @@ impl Field {
 
     /// Image position of a world point: 0 … 1 to the right and down.
     pub(crate) fn place(&self, cut: Cut, at: DVec3) -> [f64; 2] {
-        let [right, up] = cut.sides().map(|(axis, sign)| {
-            0.5 + 0.5 * sign * (at[axis] - self.middle[axis]) / self.half
-        });
+        let [right, up] = cut
+            .sides()
+            .map(|(axis, sign)| 0.5 + 0.5 * sign * (at[axis] - self.middle[axis]) / self.half);
         [right, 1.0 - up]
     }
 
@@ -149,11 +149,7 @@ mod tests {
         let matrix = glam::DMat3::from_cols(columns[0], columns[1], columns[2]);
         let mut voxels = vec![0u8; 64];
         // RAS: left is −R, anterior +A, superior +S.
-        for (value, direction) in [
-            (100, DVec3::NEG_X),
-            (150, DVec3::Y),
-            (200, DVec3::Z),
-        ] {
+        for (value, direction) in [(100, DVec3::NEG_X), (150, DVec3::Y), (200, DVec3::Z)] {
             let mut index = [0usize; 3];
             for i in 0..3 {
                 let towards = direction.dot(columns[i]);

@@ -99,6 +99,7 @@ type VolumeParts<'a> = (
     &'a mut VolumeMedium,
 );
 
+#[expect(clippy::too_many_arguments, reason = "all that shows the look")]
 /// Takes what changed in the look to the components that show it.
 pub(crate) fn apply(
     mut commands: Commands,

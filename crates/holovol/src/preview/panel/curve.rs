@@ -27,17 +27,17 @@ pub(crate) struct Curve {
 pub(super) fn draw(ui: &mut egui::Ui, curve: &mut Curve, look: &mut Look, scan: &Scan) {
     let [low, high] = look.window;
     let s_of = |value: f64| (value - low) / (high - low);
-    let range = curve
-        .shows_all
-        .then(|| scan.volume().range().map(s_of));
-    let axes = curve
-        .held
-        .unwrap_or_else(|| Axes::of(&look.points, range));
+    let range = curve.shows_all.then(|| scan.volume().range().map(s_of));
+    let axes = curve.held.unwrap_or_else(|| Axes::of(&look.points, range));
     let size = vec2(ui.available_width(), HEIGHT);
     let (rect, background) = ui.allocate_exact_size(size, Sense::click());
     paint(ui, rect, axes, look, scan);
     points(ui, rect, axes, curve, look);
 
+    let background = background.on_hover_text(
+        "Drag points; double click for a new one, right click deletes. Below: how often values \
+         occur",
+    );
     if background.double_clicked()
         && let Some(at) = background.interact_pointer_pos()
     {
@@ -48,7 +48,6 @@ pub(super) fn draw(ui: &mut egui::Ui, curve: &mut Curve, look: &mut Look, scan: 
         ui.weak(number(values[0]));
         ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
             ui.weak(number(values[1]));
-            ui.vertical_centered(|ui| ui.weak("double click: new point; right click: delete"));
         });
     });
     selected(ui, curve, look);
@@ -105,7 +104,11 @@ fn paint(ui: &egui::Ui, rect: Rect, axes: Axes, look: &Look, scan: &Scan) {
         painter.rect_filled(stripe(top.y), 0.0, filled);
         let bar = rect.bottom() - height * rect.height();
         // Where matter is, its histogram is seen through it.
-        let shade = if bar < top.y { grey } else { grey.gamma_multiply(0.5) };
+        let shade = if bar < top.y {
+            grey
+        } else {
+            grey.gamma_multiply(0.5)
+        };
         painter.rect_filled(stripe(bar), 0.0, shade);
     }
     let mut line: Vec<Pos2> = Vec::with_capacity(look.points.len() + 2);
@@ -136,7 +139,11 @@ fn points(ui: &mut egui::Ui, rect: Rect, axes: Axes, curve: &mut Curve, look: &m
         let point = look.points[index];
         let at = pos_in(rect, axes.place(point.s, point.sigma_t));
         let room = Rect::from_center_size(at, egui::Vec2::splat(3.0 * POINT_RADIUS));
-        let response = ui.interact(room, ui.id().with(("point", index)), Sense::click_and_drag());
+        let response = ui.interact(
+            room,
+            ui.id().with(("point", index)),
+            Sense::click_and_drag(),
+        );
         if response.clicked() || response.drag_started() {
             curve.selected = Some(index);
         }
@@ -160,7 +167,8 @@ fn points(ui: &mut egui::Ui, rect: Rect, axes: Axes, curve: &mut Curve, look: &m
         } else {
             ui.visuals().strong_text_color()
         };
-        ui.painter().circle(at, radius, color(point.albedo), Stroke::new(2.0, rim));
+        ui.painter()
+            .circle(at, radius, color(point.albedo), Stroke::new(2.0, rim));
     }
     curve.held = is_dragged.then_some(axes);
     if let Some(index) = removed {
@@ -181,7 +189,9 @@ fn selected(ui: &mut egui::Ui, curve: &mut Curve, look: &mut Look) {
     egui::Grid::new("point").num_columns(4).show(ui, |ui| {
         ui.label("value");
         let speed = ((high - low) / 400.0).abs().max(1e-9);
-        let drag = egui::DragValue::new(&mut value).speed(speed).max_decimals(4);
+        let drag = egui::DragValue::new(&mut value)
+            .speed(speed)
+            .max_decimals(4);
         if ui.add(drag).changed() {
             point.s = (value - low) / (high - low);
         }

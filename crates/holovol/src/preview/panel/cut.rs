@@ -80,13 +80,19 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
                 }
             }
             if let Some(direction) = towards_viewer
-                && ui.button("me").on_hover_text("As the camera looks now").clicked()
+                && ui
+                    .button("me")
+                    .on_hover_text("As the camera looks now")
+                    .clicked()
             {
                 plane.normal = direction;
             }
         });
         let mut part = plane.offset / radius;
-        if ui.add(egui::Slider::new(&mut part, -1.0..=1.0).text("place")).changed() {
+        if ui
+            .add(egui::Slider::new(&mut part, -1.0..=1.0).text("place"))
+            .changed()
+        {
             plane.offset = part * radius;
         }
     }

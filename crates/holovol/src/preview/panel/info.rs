@@ -55,7 +55,10 @@ pub(super) fn numbers(ui: &mut egui::Ui, shown: &Shown) {
             rows.push((format!("{stage}, {clock}"), format!("{value:.2} ms")));
         }
     }
-    rows.push(("samples per pixel".into(), numbers.samples_per_pixel.to_string()));
+    rows.push((
+        "samples per pixel".into(),
+        numbers.samples_per_pixel.to_string(),
+    ));
     let millions = numbers.samples as f64 / 1e6;
     rows.push(("samples so far".into(), format!("{millions:.1} M")));
     rows.push(("uploads".into(), numbers.uploads.to_string()));

@@ -28,7 +28,8 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut PanelShown)
             LightSource::Constant(_) => "the same from everywhere",
             LightSource::Map { name, .. } => name,
         };
-        ui.label(name).on_hover_text("Drop an .hdr or .exr panorama for another");
+        ui.label(name)
+            .on_hover_text("Drop an .hdr or .exr panorama for another");
         if ui.button("White").clicked() {
             light.source = LightSource::Constant([1.0; 3]);
         }
@@ -66,17 +67,23 @@ fn refresh(ui: &egui::Ui, drawn: &mut Shown, shown: &PanelShown) {
     {
         *drawn = Shown::of(source.clone(), &map);
     }
-    let Some(overview) = &drawn.overview else { return };
+    let Some(overview) = &drawn.overview else {
+        return;
+    };
     if drawn.panorama.is_none() {
         let pixels = overview.picture().concat();
         let image = ColorImage::from_rgb([WIDTH, HEIGHT], &pixels);
-        let texture = ui.ctx().load_texture("panorama", image, TextureOptions::LINEAR);
+        let texture = ui
+            .ctx()
+            .load_texture("panorama", image, TextureOptions::LINEAR);
         drawn.panorama = Some(texture);
     }
     // A degree is not seen on a ball so small.
     let degrees = shown.studio.look.light.rotation_deg.round() as i32;
     if drawn.ball.as_ref().map(|ball| ball.0) != Some(degrees) {
-        let pixels = overview.ball(f64::from(degrees).to_radians(), BALL).concat();
+        let pixels = overview
+            .ball(f64::from(degrees).to_radians(), BALL)
+            .concat();
         let image = ColorImage::from_rgba_unmultiplied([BALL, BALL], &pixels);
         match &mut drawn.ball {
             Some((of, texture)) => {
@@ -136,12 +143,13 @@ fn panorama(ui: &mut egui::Ui, drawn: &mut Shown, light: &mut super::super::look
             painter.text(at, egui::Align2::CENTER_CENTER, text, font, Color32::YELLOW);
         }
         if response.dragged() {
-            let turned = light.rotation_deg
-                - f64::from(response.drag_delta().x / rect.width() * 360.0);
+            let turned =
+                light.rotation_deg - f64::from(response.drag_delta().x / rect.width() * 360.0);
             light.rotation_deg = (turned + 180.0).rem_euclid(360.0) - 180.0;
         }
         response.on_hover_text("Drag to turn the light");
         let size = egui::Vec2::splat(BALL as f32);
-        ui.image((ball.id(), size)).on_hover_text("A ball in this light: half mirror, half chalk");
+        ui.image((ball.id(), size))
+            .on_hover_text("A ball in this light: half mirror, half chalk");
     });
 }

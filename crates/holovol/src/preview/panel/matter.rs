@@ -7,7 +7,11 @@ use super::{Panel, Shown, curve, files};
 pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
     ui.horizontal(|ui| {
         files::presets(ui, shown);
-        if ui.button("Save").on_hover_text("As a *.tf.json file").clicked() {
+        if ui
+            .button("Save")
+            .on_hover_text("As a *.tf.json file")
+            .clicked()
+        {
             save(panel, shown);
         }
         ui.checkbox(&mut panel.curve.shows_all, "all values");
@@ -28,9 +32,17 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
         ui.add(egui::DragValue::new(&mut to).speed(speed).max_decimals(4));
         ui.end_row();
         ui.label("level");
-        let moved = ui.add(egui::DragValue::new(&mut level).speed(speed).max_decimals(4));
+        let moved = ui.add(
+            egui::DragValue::new(&mut level)
+                .speed(speed)
+                .max_decimals(4),
+        );
         ui.label("window");
-        let widened = ui.add(egui::DragValue::new(&mut width).speed(speed).max_decimals(4));
+        let widened = ui.add(
+            egui::DragValue::new(&mut width)
+                .speed(speed)
+                .max_decimals(4),
+        );
         ui.end_row();
         if moved.changed() || widened.changed() {
             (from, to) = (level - 0.5 * width, level + 0.5 * width);
@@ -43,10 +55,12 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
         ui.label("density");
         ui.add(egui::Slider::new(&mut look.density, 0.01..=100.0).logarithmic(true));
         ui.end_row();
-        ui.label("surface").on_hover_text("Shading like a surface where values change fast");
+        ui.label("surface")
+            .on_hover_text("Shading like a surface where values change fast");
         ui.add(egui::Slider::new(&mut look.gradient_factor, 0.0..=10.0));
         ui.end_row();
-        ui.label("forward").on_hover_text("Scattering: −1 backwards, 0 evenly, 1 forwards");
+        ui.label("forward")
+            .on_hover_text("Scattering: −1 backwards, 0 evenly, 1 forwards");
         ui.add(egui::Slider::new(&mut look.phase_g, -0.95..=0.95));
         ui.end_row();
     });

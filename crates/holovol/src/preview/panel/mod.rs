@@ -174,8 +174,7 @@ impl Shown<'_, '_> {
 
     /// Begins to take pictures of the view, `.png` or `.exr`; more than one are a turntable.
     fn take_pictures(&mut self, panel: &Panel, extension: &str, frames: u32) {
-        let (Some(view), Some(scan), Some(map)) =
-            (self.viewpoint(), &self.studio.scan, self.map())
+        let (Some(view), Some(scan), Some(map)) = (self.viewpoint(), &self.studio.scan, self.map())
         else {
             return;
         };
@@ -189,7 +188,11 @@ impl Shown<'_, '_> {
             let first = free_name(&folder, &name, extension);
             let cameras = super::pictures::turntable(&view, frames);
             let numbered = |frame| crate::output::numbered(&first, None, Some(frame));
-            (0..frames).map(numbered).zip(cameras).map(|(path, camera)| (camera, path)).collect()
+            (0..frames)
+                .map(numbered)
+                .zip(cameras)
+                .map(|(path, camera)| (camera, path))
+                .collect()
         };
         let order = Order {
             scene: scene_io::scene_file(look, scan, &view),
@@ -242,8 +245,8 @@ fn draw(mut contexts: EguiContexts, mut panel: ResMut<Panel>, mut shown: Shown) 
     if panel.is_open {
         window(&context, panel, &mut shown);
     }
-    let is_editing = context.input(|input| input.pointer.any_down())
-        || context.egui_wants_keyboard_input();
+    let is_editing =
+        context.input(|input| input.pointer.any_down()) || context.egui_wants_keyboard_input();
     let studio = &mut *shown.studio;
     studio.history.note(&studio.look, is_editing);
     Ok(())
@@ -256,6 +259,7 @@ fn window(context: &egui::Context, panel: &mut Panel, shown: &mut Shown) {
         .resizable(false)
         .min_width(WIDTH)
         .default_width(WIDTH)
+        .default_height(height)
         .max_height(height)
         .vscroll(true)
         .show(context, |ui| {
@@ -285,7 +289,11 @@ fn window(context: &egui::Context, panel: &mut Panel, shown: &mut Shown) {
                 if ui.button("About").clicked() {
                     panel.shows_about = true;
                 }
-                let text = if shown.settings.is_light { "Dark" } else { "Light" };
+                let text = if shown.settings.is_light {
+                    "Dark"
+                } else {
+                    "Light"
+                };
                 if ui.button(text).clicked() {
                     shown.settings.is_light = !shown.settings.is_light;
                     shown.settings.save();
@@ -316,7 +324,10 @@ fn buttons(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
         let has_scan = shown.studio.scan.is_some();
         ui.add_enabled_ui(has_scan, |ui| {
             let save = ui.button("Save scene");
-            if save.on_hover_text("For `holovol render`, and to come back to").clicked() {
+            if save
+                .on_hover_text("For `holovol render`, and to come back to")
+                .clicked()
+            {
                 shown.save_scene(panel);
             }
             if ui.button("Picture").clicked() {

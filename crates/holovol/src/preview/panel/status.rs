@@ -99,7 +99,10 @@ fn state(ui: &mut egui::Ui, shown: &Shown) {
     }
     let done = numbers.samples_per_pixel;
     ui.horizontal(|ui| {
-        ui.label(format!("{}   {done} / {RESTING_SAMPLES} samples", shown.session.name));
+        ui.label(format!(
+            "{}   {done} / {RESTING_SAMPLES} samples",
+            shown.session.name
+        ));
         if let Some(hit) = shown.pointer.hit {
             let [x, y, z] = (hit.at - scan.middle()).to_array().map(|m| {
                 let sign = if m < 0.0 { "−" } else { "" };

@@ -12,7 +12,12 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
     ui.horizontal(|ui| {
         ui.label("scatterings");
         let scatters = &mut shown.studio.look.max_scatters;
-        for (text, value) in [("1", Some(1)), ("4", Some(4)), ("16", Some(16)), ("all", None)] {
+        for (text, value) in [
+            ("1", Some(1)),
+            ("4", Some(4)),
+            ("16", Some(16)),
+            ("all", None),
+        ] {
             ui.selectable_value(scatters, value, text);
         }
     });
@@ -75,7 +80,12 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
 /// Keeps where the camera is.
 pub(super) fn add_bookmark(panel: &mut Panel, shown: &Shown) {
     if let Ok((orbit, ..)) = shown.cameras.get(shown.session.camera) {
-        let free = (1..).find(|n| panel.bookmarks.iter().all(|(name, _)| *name != n.to_string()));
+        let free = (1..).find(|n| {
+            panel
+                .bookmarks
+                .iter()
+                .all(|(name, _)| *name != n.to_string())
+        });
         let name = free.unwrap_or(1).to_string();
         panel.bookmarks.push((name, *orbit));
     }
@@ -104,11 +114,17 @@ pub(super) fn pictures(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) 
     });
     ui.horizontal(|ui| {
         ui.label("samples");
-        ui.add(egui::DragValue::new(&mut panel.samples).speed(4).range(1..=65_536));
+        ui.add(
+            egui::DragValue::new(&mut panel.samples)
+                .speed(4)
+                .range(1..=65_536),
+        );
         if ui.button("PNG").clicked() {
             shown.take_pictures(panel, "png", 1);
         }
-        let exr = ui.button("EXR").on_hover_text("Linear radiance with opacity");
+        let exr = ui
+            .button("EXR")
+            .on_hover_text("Linear radiance with opacity");
         if exr.clicked() {
             shown.take_pictures(panel, "exr", 1);
         }
