@@ -23,12 +23,15 @@ mod transfer;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use bevy::camera::CameraOutputMode;
+use bevy::camera::visibility::RenderLayers;
 use bevy::core_pipeline::tonemapping::Tonemapping;
 use bevy::log::LogPlugin;
 use bevy::prelude::*;
+use bevy::render::render_resource::BlendState;
 use bevy::window::{PresentMode, RequestRedraw, WindowResolution};
 use bevy::winit::{UpdateMode, WinitSettings};
-use bevy_egui::EguiPlugin;
+use bevy_egui::{EguiGlobalSettings, EguiPlugin, PrimaryEguiContext};
 use bevy_holovol::prelude::*;
 
 use crate::cli::PreviewArgs;
@@ -132,7 +135,27 @@ fn has_display() -> bool {
 #[derive(Resource)]
 struct FrameLimit(Option<u32>);
 
-fn setup(mut commands: Commands, limit: Res<FrameLimit>) {
+fn setup(
+    mut commands: Commands,
+    limit: Res<FrameLimit>,
+    mut egui_settings: ResMut<EguiGlobalSettings>,
+) {
+    // The panel has the whole window, and a camera of its own; the scan what it leaves free.
+    egui_settings.auto_create_primary_context = false;
+    commands.spawn((
+        PrimaryEguiContext,
+        Camera2d,
+        RenderLayers::none(),
+        Camera {
+            order: 1,
+            output_mode: CameraOutputMode::Write {
+                blend_state: Some(BlendState::ALPHA_BLENDING),
+                clear_color: ClearColorConfig::None,
+            },
+            clear_color: ClearColorConfig::Custom(Color::NONE),
+            ..default()
+        },
+    ));
     let volume = commands.spawn(Volume3d::default()).id();
     let camera = commands
         .spawn((

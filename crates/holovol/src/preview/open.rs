@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
 
+use bevy::diagnostic::FrameCount;
 use bevy::prelude::*;
 use bevy_holovol::SceneParts;
 use bevy_holovol::environment::DEFAULT_INTENSITY;
@@ -33,8 +34,38 @@ impl Plugin for OpenPlugin {
 /// What is being read, one after the other.
 #[derive(Resource, Default)]
 pub(crate) struct Opening {
+    /// What the program makes itself, before all else.
+    own: Option<Own>,
     waiting: Vec<PathBuf>,
     reading: Option<Reading>,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Own {
+    Room,
+    Phantom,
+}
+
+impl Own {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Room => "the light of a room",
+            Self::Phantom => "a head phantom in a room",
+        }
+    }
+
+    fn make(self) -> Result<Opened, String> {
+        match self {
+            Self::Room => Ok(Opened::Room(demo::environment())),
+            Self::Phantom => {
+                let scene = demo::scene_in_memory().map_err(|failure| failure.to_string())?;
+                let mut opened = OpenedScene::new(scene);
+                // Its values are names of materials; slices show these apart.
+                opened.scan.grey = [2.0, -14.0];
+                Ok(Opened::Scene(Box::new(opened)))
+            }
+        }
+    }
 }
 
 struct Reading {
@@ -79,12 +110,14 @@ impl Opening {
     }
 
     pub(crate) fn is_busy(&self) -> bool {
-        self.reading.is_some() || !self.waiting.is_empty()
+        self.reading.is_some() || !self.waiting.is_empty() || self.own.is_some()
     }
 
     /// Name of what is being read, and the part of it that is (0 … 1), if that is known.
     pub(crate) fn progress(&self) -> Option<(&str, Option<f32>)> {
-        let reading = self.reading.as_ref()?;
+        let Some(reading) = &self.reading else {
+            return self.own.map(|own| (own.name(), None));
+        };
         let [done, total] = [0, 1].map(|i: usize| reading.progress[i].load(Ordering::Relaxed));
         let part = (total > 0).then(|| (done as f64 / total as f64) as f32);
         Some((&reading.name, part))
@@ -147,19 +180,11 @@ fn open_first(mut opening: ResMut<Opening>, files: Res<FirstFiles>) {
             .iter()
             .any(|end| name.ends_with(end))
     };
-    if files.0.iter().any(is_volume) {
-        opening.begin("the light of a room".into(), |_| {
-            Ok(Opened::Room(demo::environment()))
-        });
+    opening.own = Some(if files.0.iter().any(is_volume) {
+        Own::Room
     } else {
-        opening.begin("a head phantom in a room".into(), |_| {
-            let scene = demo::scene_in_memory().map_err(|failure| failure.to_string())?;
-            let mut opened = OpenedScene::new(scene);
-            // Its values are names of materials; slices show these apart.
-            opened.scan.grey = [2.0, -14.0];
-            Ok(Opened::Scene(Box::new(opened)))
-        });
-    }
+        Own::Phantom
+    });
 }
 
 fn dropped(mut events: MessageReader<FileDragAndDrop>, mut opening: ResMut<Opening>) {
@@ -171,7 +196,17 @@ fn dropped(mut events: MessageReader<FileDragAndDrop>, mut opening: ResMut<Openi
 }
 
 /// Takes in what has been read, and goes on with the next.
-fn finish(mut opening: ResMut<Opening>, mut session: ResMut<Session>, mut show: Show) {
+fn finish(
+    mut opening: ResMut<Opening>,
+    mut session: ResMut<Session>,
+    mut show: Show,
+    frames: Res<FrameCount>,
+) {
+    /// The window is seen, and says what is going on, before all cores are taken.
+    const FRAMES_FIRST: u32 = 4;
+    if frames.0 < FRAMES_FIRST {
+        return;
+    }
     if opening
         .reading
         .as_ref()
@@ -197,7 +232,9 @@ fn finish(mut opening: ResMut<Opening>, mut session: ResMut<Session>, mut show: 
             Err(error) => session.status = Some(Status::Failed(error)),
         }
     }
-    if !opening.waiting.is_empty() {
+    if let Some(own) = opening.own.take() {
+        opening.begin(own.name().into(), move |_| own.make());
+    } else if !opening.waiting.is_empty() {
         let path = opening.waiting.remove(0);
         let name = path.file_name().unwrap_or(path.as_os_str());
         let name = name.to_string_lossy().into_owned();

@@ -10,6 +10,8 @@ use super::studio::Scan;
 /// Pixels along a cut, and logical pixels on the screen.
 const PIXELS: usize = 224;
 const SIDE: f32 = 196.0;
+/// What the window takes of the screen.
+pub(crate) const WIDTH: f32 = SIDE + 28.0;
 
 #[derive(Default)]
 pub(crate) struct SliceViews {

@@ -11,7 +11,7 @@ mod view;
 
 use std::path::PathBuf;
 
-use bevy::camera::Exposure;
+use bevy::camera::{Exposure, Viewport};
 use bevy::diagnostic::DiagnosticsStore;
 use bevy::prelude::*;
 use bevy::render::renderer::RenderAdapterInfo;
@@ -99,7 +99,7 @@ pub(crate) struct Shown<'w, 's> {
         's,
         (
             &'static mut Orbit,
-            &'static Camera,
+            &'static mut Camera,
             &'static GlobalTransform,
             &'static Projection,
             Option<&'static Exposure>,
@@ -238,6 +238,10 @@ fn draw(mut contexts: EguiContexts, mut panel: ResMut<Panel>, mut shown: Shown) 
     if panel.is_open {
         free.max.x -= WIDTH + 32.0;
     }
+    if panel.slices.is_open {
+        free.min.x += slice_views::WIDTH;
+    }
+    fit_viewport(&context, free, &mut shown);
     overlay::draw(&context, free, panel, &mut shown);
     status::draw(&context, &mut shown);
     slice_views::draw(&context, panel, &mut shown);
@@ -250,6 +254,35 @@ fn draw(mut contexts: EguiContexts, mut panel: ResMut<Panel>, mut shown: Shown) 
     let studio = &mut *shown.studio;
     studio.history.note(&studio.look, is_editing);
     Ok(())
+}
+
+/// The scan stands in the middle of what the panel leaves free.
+fn fit_viewport(context: &egui::Context, free: egui::Rect, shown: &mut Shown) {
+    let scale = context.pixels_per_point();
+    let camera = shown.session.camera;
+    let Ok((_, mut camera, ..)) = shown.cameras.get_mut(camera) else {
+        return;
+    };
+    let Some(target) = camera.physical_target_size() else {
+        return;
+    };
+    let pixels = |x: f32, most: u32| ((x * scale).round().max(0.0) as u32).min(most);
+    let low = UVec2::new(pixels(free.left(), target.x), pixels(free.top(), target.y));
+    let high = UVec2::new(pixels(free.right(), target.x), pixels(free.bottom(), target.y));
+    // A window hardly wider than the panel shows the scan behind it.
+    let is_roomy = high.x >= low.x + target.x / 4 && high.y > low.y;
+    let wanted = is_roomy.then(|| (low, high - low));
+    let found = camera
+        .viewport
+        .as_ref()
+        .map(|v| (v.physical_position, v.physical_size));
+    if found != wanted {
+        camera.viewport = wanted.map(|(physical_position, physical_size)| Viewport {
+            physical_position,
+            physical_size,
+            ..default()
+        });
+    }
 }
 
 fn window(context: &egui::Context, panel: &mut Panel, shown: &mut Shown) {
