@@ -357,8 +357,8 @@ fn scale(painter: &egui::Painter, free: egui::Rect, metres_per_point: f64) {
         return;
     };
     let half = 0.5 * (metres / metres_per_point) as f32;
-    // To the left of the orientation.
-    let middle = free.right_bottom() - vec2(130.0 + half, 22.0);
+    // Above the orientation, where the status line does not reach.
+    let middle = free.right_bottom() - vec2(16.0 + half, 124.0);
     let [left, right] = [-half, half].map(|x| middle + vec2(x, 0.0));
     for (width, color) in [(4.0, Color32::from_black_alpha(170)), (2.0, Color32::WHITE)] {
         let stroke = Stroke::new(width, color);

@@ -6,6 +6,8 @@ use bevy::prelude::*;
 use bevy::time::Real;
 use bevy_holovol::prelude::*;
 
+use super::pictures::Pictures;
+
 /// Samples per pixel at which a resting view is done.
 pub(crate) const RESTING_SAMPLES: u32 = 2048;
 
@@ -42,6 +44,8 @@ pub(crate) struct Quality {
     since_change: f32,
     /// Half the resolution, on the way to all of it.
     is_half: bool,
+    /// Of the view, pixels.
+    size: Option<UVec2>,
     /// What a frame of the whole resolution took when it was last traced, seconds.
     full_seconds: f32,
     /// Since a hand was at mouse or keys, seconds.
@@ -58,6 +62,7 @@ impl Default for Quality {
             samples: 1,
             since_change: 0.0,
             is_half: false,
+            size: None,
             full_seconds: 0.0,
             since_input: f32::INFINITY,
             frame_seconds: MOTION_BUDGET,
@@ -163,12 +168,14 @@ fn adapt(
     time: Res<Time<Real>>,
     environment: Res<VolumeEnvironment>,
     volumes: Query<Shown>,
-    mut cameras: Query<(Ref<Transform>, &mut VolumeRenderSettings)>,
+    mut cameras: Query<(Ref<Transform>, &Camera, &mut VolumeRenderSettings)>,
     mut transfer_functions: MessageReader<AssetEvent<TransferFunctionAsset>>,
     planes: Query<(), (With<VolumeClipPlane>, Changed<GlobalTransform>)>,
     mut input: Input,
+    pictures: Res<Pictures>,
 ) {
     let is_used = input.is_used();
+    let is_working = pictures.progress().is_some();
     let edited = transfer_functions
         .read()
         .any(|e| matches!(e, AssetEvent::Modified { .. }));
@@ -178,12 +185,14 @@ fn adapt(
             || medium.is_changed()
             || transform.is_changed()
     });
-    for (transform, mut settings) in &mut cameras {
-        let changed = transform.is_changed() || moved || edited;
+    for (transform, camera, mut settings) in &mut cameras {
+        let size = camera.physical_viewport_size();
+        let is_resized = std::mem::replace(&mut quality.size, size) != size;
+        let changed = is_resized || transform.is_changed() || moved || edited;
         let changed = changed || environment.is_changed() || !planes.is_empty();
         quality.note(time.delta_secs(), changed);
         quality.note_input(time.delta_secs(), is_used);
-        let samples = if quality.is_paused() {
+        let samples = if quality.is_paused() || (is_working && !quality.is_moving()) {
             0
         } else {
             quality.samples

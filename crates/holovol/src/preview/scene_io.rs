@@ -153,6 +153,15 @@ fn from_folder(path: &Path, folder: &Path) -> PathBuf {
     }
 }
 
+/// A name for what is made of a file: without its endings.
+pub(crate) fn stem(name: &str) -> &str {
+    let name = name.strip_suffix(".gz").unwrap_or(name);
+    match name.rsplit_once('.') {
+        Some((stem, ending)) if !stem.is_empty() && ending.len() <= 5 => stem,
+        _ => name,
+    }
+}
+
 /// The first of `folder/STEM.EXTENSION`, `STEM-2`, … that is free.
 pub(crate) fn free_name(folder: &Path, stem: &str, extension: &str) -> PathBuf {
     // What a file system or another program could trip over.
@@ -182,6 +191,18 @@ mod tests {
         assert_eq!(name("/a/b/c/scan.nii"), Path::new("c/scan.nii"));
         assert_eq!(name("/a/x/scan.nii"), Path::new("/a/x/scan.nii"));
         assert_eq!(name("/a/b"), Path::new("/a/b"), "a folder of slices");
+    }
+
+    #[test]
+    fn endings_are_left_out() {
+        for (name, expected) in [
+            ("head.nii.gz", "head"),
+            ("CT 1.2.840 chest.dcm", "CT 1.2.840 chest"),
+            ("a head phantom in a room", "a head phantom in a room"),
+            (".hidden", ".hidden"),
+        ] {
+            assert_eq!(stem(name), expected);
+        }
     }
 
     #[test]

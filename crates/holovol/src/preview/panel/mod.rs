@@ -27,7 +27,7 @@ use super::open::Opening;
 use super::pictures::{Order, Pictures};
 use super::pointer::Pointer;
 use super::quality::Quality;
-use super::scene_io::{self, Viewpoint, free_name};
+use super::scene_io::{self, Viewpoint, free_name, stem};
 use super::settings::Settings;
 use super::studio::Studio;
 use super::{Session, Status, overlay, slice_views};
@@ -109,6 +109,8 @@ pub(crate) struct Shown<'w, 's> {
     diagnostics: Res<'w, DiagnosticsStore>,
     quality: Res<'w, Quality>,
     adapter: Res<'w, RenderAdapterInfo>,
+    /// Beside the scan's part of the window.
+    behind: ResMut<'w, ClearColor>,
 }
 
 impl Shown<'_, '_> {
@@ -152,7 +154,9 @@ impl Shown<'_, '_> {
             return;
         };
         let look = &self.studio.look;
-        let path = free_name(&panel.folder(), &self.session.name, "json");
+        // Not `SCAN.json`, which describes raw voxels beside it.
+        let name = format!("{}-view", stem(&self.session.name));
+        let path = free_name(&panel.folder(), &name, "json");
         let file = scene_io::scene_file(look, scan, &view);
         let map = self.map();
         let source = &look.light.source;
@@ -181,10 +185,10 @@ impl Shown<'_, '_> {
         let look = &self.studio.look;
         let folder = panel.folder();
         let pictures = if frames == 1 {
-            let path = free_name(&folder, &self.session.name, extension);
+            let path = free_name(&folder, stem(&self.session.name), extension);
             vec![(view.camera(), path)]
         } else {
-            let name = format!("{}-turn", self.session.name);
+            let name = format!("{}-turn", stem(&self.session.name));
             let first = free_name(&folder, &name, extension);
             let cameras = super::pictures::turntable(&view, frames);
             let numbered = |frame| crate::output::numbered(&first, None, Some(frame));
@@ -225,6 +229,15 @@ fn draw(mut contexts: EguiContexts, mut panel: ResMut<Panel>, mut shown: Shown) 
     if context.theme() != theme {
         context.set_theme(theme);
     }
+    let [r, g, b, _] = context
+        .global_style()
+        .visuals
+        .panel_fill
+        .to_srgba_unmultiplied();
+    let behind = ClearColor(Color::srgb_u8(r, g, b));
+    if shown.behind.0 != behind.0 {
+        *shown.behind = behind;
+    }
     if (context.zoom_factor() - shown.settings.zoom).abs() > 1e-3 {
         context.set_zoom_factor(shown.settings.zoom);
     }
@@ -236,7 +249,7 @@ fn draw(mut contexts: EguiContexts, mut panel: ResMut<Panel>, mut shown: Shown) 
     }
     let mut free = context.viewport_rect();
     if panel.is_open {
-        free.max.x -= WIDTH + 32.0;
+        free.max.x -= WIDTH + 28.0;
     }
     if panel.slices.is_open {
         free.min.x += slice_views::WIDTH;
@@ -268,7 +281,10 @@ fn fit_viewport(context: &egui::Context, free: egui::Rect, shown: &mut Shown) {
     };
     let pixels = |x: f32, most: u32| ((x * scale).round().max(0.0) as u32).min(most);
     let low = UVec2::new(pixels(free.left(), target.x), pixels(free.top(), target.y));
-    let high = UVec2::new(pixels(free.right(), target.x), pixels(free.bottom(), target.y));
+    let high = UVec2::new(
+        pixels(free.right(), target.x),
+        pixels(free.bottom(), target.y),
+    );
     // A window hardly wider than the panel shows the scan behind it.
     let is_roomy = high.x >= low.x + target.x / 4 && high.y > low.y;
     let wanted = is_roomy.then(|| (low, high - low));
@@ -286,17 +302,18 @@ fn fit_viewport(context: &egui::Context, free: egui::Rect, shown: &mut Shown) {
 }
 
 fn window(context: &egui::Context, panel: &mut Panel, shown: &mut Shown) {
-    let height = context.viewport_rect().height() - 64.0;
+    let screen = context.viewport_rect();
+    let frame = egui::Frame::side_top_panel(&context.global_style()).inner_margin(8.0);
+    let height = screen.height() - 16.0;
     egui::Window::new("holovol")
-        .anchor(egui::Align2::RIGHT_TOP, [-8.0, 8.0])
-        .resizable(false)
-        .min_width(WIDTH)
-        .default_width(WIDTH)
-        .default_height(height)
-        .max_height(height)
+        .title_bar(false)
+        .frame(frame)
+        .fixed_pos(egui::Pos2::new(screen.right() - WIDTH - 28.0, screen.top()))
+        .fixed_size([WIDTH + 12.0, height])
         .vscroll(true)
         .show(context, |ui| {
             ui.set_width(WIDTH);
+            ui.set_min_height(height - 12.0);
             buttons(ui, panel, shown);
             files::draw(ui, panel, shown);
             if shown.studio.scan.is_none() {
