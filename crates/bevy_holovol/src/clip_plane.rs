@@ -25,10 +25,12 @@ pub(crate) fn plane_of(transform: &GlobalTransform) -> Option<DVec4> {
     is_plane.then(|| normal.extend(-normal.dot(at)))
 }
 
+pub(crate) type ClipPlaneData<'a> = (Entity, &'a GlobalTransform, &'a InheritedVisibility);
+
 /// The planes that cut a volume.
 pub(crate) fn planes_of(
     volume: Entity,
-    planes: &Query<(Entity, &GlobalTransform, &InheritedVisibility), With<VolumeClipPlane>>,
+    planes: &Query<ClipPlaneData, With<VolumeClipPlane>>,
     parents: &Query<&ChildOf>,
     volumes: &Query<(), With<Volume3d>>,
 ) -> Vec<DVec4> {

@@ -12,7 +12,7 @@ use holovol_volume::{TransferFunction, TransferPoint, Volume};
 
 use super::VolumeRenderSettings;
 use super::mesh_overlap::MeshOverlaps;
-use crate::clip_plane::planes_of;
+use crate::clip_plane::{ClipPlaneData, planes_of};
 use crate::environment::CurrentMap;
 use crate::{
     TransferFunctionAsset, Volume3d, VolumeAsset, VolumeClipPlane, VolumeEnvironment,
@@ -56,7 +56,7 @@ pub(super) fn extract_volumes(
     map: Extract<Res<CurrentMap>>,
     volumes: Extract<Query<VolumeData>>,
     is_volume: Extract<Query<(), With<Volume3d>>>,
-    planes: Extract<Query<(Entity, &GlobalTransform, &InheritedVisibility), With<VolumeClipPlane>>>,
+    planes: Extract<Query<ClipPlaneData, With<VolumeClipPlane>>>,
     parents: Extract<Query<&ChildOf>>,
     views: Extract<Query<(Entity, &Camera, &VolumeRenderSettings, &VisibleEntities)>>,
     assets: Extract<Res<Assets<VolumeAsset>>>,

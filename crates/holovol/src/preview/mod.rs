@@ -190,6 +190,7 @@ fn title(session: Res<Session>, mut windows: Query<&mut Window>) {
     }
 }
 
+#[expect(clippy::too_many_arguments, reason = "all that there can be to do")]
 /// Asks for the next frame while there is something to do; else the app sleeps.
 fn keep_drawing(
     statistics: Res<bevy_holovol::VolumeStatistics>,

@@ -120,9 +120,9 @@ pub(crate) fn bars(histogram: &Histogram, [low, high]: [f64; 2], count: usize) -
         let (from, to) = (from.min(to), from.max(to));
         let first = from.floor().max(0.0) as usize;
         let last = (to.ceil().max(0.0) as usize).min(count);
-        for bar in first..last {
+        for (bar, sum) in sums.iter_mut().enumerate().take(last).skip(first) {
             let part = (to.min(bar as f64 + 1.0) - from.max(bar as f64)).max(0.0);
-            sums[bar] += voxels as f64 * part / (to - from);
+            *sum += voxels as f64 * part / (to - from);
         }
     }
     let most = sums.iter().copied().fold(0.0, f64::max).ln_1p().max(1e-9);
