@@ -394,6 +394,8 @@ mod tests {
         assert!((length - 0.05).abs() < 1e-12, "{length}");
         overlay.click(DVec3::ZERO);
         assert_eq!(overlay.length(), None);
+        overlay.click(DVec3::X);
+        assert_eq!(overlay.length(), Some(1.0));
         overlay.toggle_ruler();
         assert!(!overlay.is_ruling());
     }

@@ -200,6 +200,7 @@ mod tests {
             ("CT 1.2.840 chest.dcm", "CT 1.2.840 chest"),
             ("a head phantom in a room", "a head phantom in a room"),
             (".hidden", ".hidden"),
+            ("scan No. eleven", "scan No. eleven"),
         ] {
             assert_eq!(stem(name), expected);
         }

@@ -203,6 +203,10 @@ mod tests {
         }
         let four = bars(&histogram, [-0.5, 3.5], 4);
         assert_eq!((four[0], four[3]), (0.0, 0.0));
+        // A third of the fullest bin is in the first of three bars, the rest in the second.
+        let three = bars(&histogram, [-0.5, 3.5], 3);
+        let expected = (1000.0_f32 / 3.0).ln_1p() / (2010.0_f32 / 3.0 + 10.0 / 3.0).ln_1p();
+        assert!((three[0] - expected).abs() < 2e-3, "{three:?}, {expected}");
         assert!(four[2] > 0.3 && four[2] < 0.4, "{four:?}");
         assert!(bars(&histogram, [10.0, 20.0], 4).iter().all(|&b| b == 0.0));
     }
