@@ -101,6 +101,12 @@ pub(crate) fn scene_in_memory() -> Result<holovol_scene::Scene, Failure> {
     Ok(sequence.frame(0)?)
 }
 
+/// The room alone.
+#[cfg(feature = "preview")]
+pub(crate) fn environment() -> holovol_light::EnvironmentMap {
+    room::environment()
+}
+
 fn scene(size: u32) -> SceneFile {
     SceneFile {
         version: SceneFile::VERSION,

@@ -1,7 +1,7 @@
 //! A head in layers, as anatomical models show it: the right half in its skin, the left without
 //! it, and there the skull opened over the brain and its vessels. Built of distance functions.
 
-use glam::{Vec3, vec3};
+use glam::{DMat3, DVec3, Vec3, vec3};
 use holovol_volume::{Geometry, TransferPoint, Volume, VolumeError, Voxels};
 use rayon::prelude::*;
 
@@ -43,8 +43,10 @@ pub(super) fn volume() -> Result<Volume, VolumeError> {
             (f64::from(value) / STEP).round() as i16
         })
         .collect();
+    // The head looks along +z and has its left at +x, as patients stand in the world.
     let metres = f64::from(VOXEL * METRES);
-    let geometry = Geometry::from_spacing([metres; 3]);
+    let ras = DMat3::from_cols(DVec3::NEG_X, DVec3::Z, DVec3::Y) * metres;
+    let geometry = Geometry::from_ras(ras, DVec3::ZERO);
     Volume::new(
         Voxels::I16(voxels),
         DIMS.map(|n| n as u32),

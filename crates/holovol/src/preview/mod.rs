@@ -1,19 +1,37 @@
 //! `holovol preview`: a window in which scans are looked at.
 
 mod camera;
+mod lights;
+mod look;
+mod measure;
 mod open;
+mod overlay;
 mod panel;
+mod pictures;
+mod pointer;
+mod presets;
 mod quality;
+mod scene_io;
+mod settings;
+mod slice_views;
+mod slices;
+mod studio;
+#[cfg(test)]
+mod tests;
+mod transfer;
 
 use std::path::PathBuf;
 use std::time::Duration;
 
+use bevy::camera::CameraOutputMode;
+use bevy::camera::visibility::RenderLayers;
 use bevy::core_pipeline::tonemapping::Tonemapping;
 use bevy::log::LogPlugin;
 use bevy::prelude::*;
+use bevy::render::render_resource::BlendState;
 use bevy::window::{PresentMode, RequestRedraw, WindowResolution};
 use bevy::winit::{UpdateMode, WinitSettings};
-use bevy_egui::EguiPlugin;
+use bevy_egui::{EguiGlobalSettings, EguiPlugin, PrimaryEguiContext};
 use bevy_holovol::prelude::*;
 
 use crate::cli::PreviewArgs;
@@ -91,8 +109,12 @@ pub(crate) fn run(args: &PreviewArgs) -> Result<(), Failure> {
         camera::CameraPlugin,
         open::OpenPlugin,
         panel::PanelPlugin,
+        pointer::PointerPlugin,
         quality::QualityPlugin,
+        studio::StudioPlugin,
     ))
+    .insert_resource(settings::Settings::load())
+    .init_resource::<pictures::Pictures>()
     .add_systems(Startup, setup)
     .add_systems(Last, (title, keep_drawing, end_after_frames));
     match app.run() {
@@ -113,7 +135,27 @@ fn has_display() -> bool {
 #[derive(Resource)]
 struct FrameLimit(Option<u32>);
 
-fn setup(mut commands: Commands, limit: Res<FrameLimit>) {
+fn setup(
+    mut commands: Commands,
+    limit: Res<FrameLimit>,
+    mut egui_settings: ResMut<EguiGlobalSettings>,
+) {
+    // The panel has the whole window, and a camera of its own; the scan what it leaves free.
+    egui_settings.auto_create_primary_context = false;
+    commands.spawn((
+        PrimaryEguiContext,
+        Camera2d,
+        RenderLayers::none(),
+        Camera {
+            order: 1,
+            output_mode: CameraOutputMode::Write {
+                blend_state: Some(BlendState::ALPHA_BLENDING),
+                clear_color: ClearColorConfig::None,
+            },
+            clear_color: ClearColorConfig::Custom(Color::NONE),
+            ..default()
+        },
+    ));
     let volume = commands.spawn(Volume3d::default()).id();
     let camera = commands
         .spawn((
@@ -148,14 +190,22 @@ fn title(session: Res<Session>, mut windows: Query<&mut Window>) {
     }
 }
 
+#[expect(clippy::too_many_arguments, reason = "all that there can be to do")]
 /// Asks for the next frame while there is something to do; else the app sleeps.
 fn keep_drawing(
     statistics: Res<bevy_holovol::VolumeStatistics>,
     opening: Res<open::Opening>,
     session: Res<Session>,
+    studio: Res<studio::Studio>,
+    applied: Res<studio::Applied>,
+    pictures: Res<pictures::Pictures>,
+    quality: Res<quality::Quality>,
     mut redraw: MessageWriter<RequestRedraw>,
 ) {
-    if !statistics.get().is_done || opening.is_busy() || session.frames_left.is_some() {
+    let is_tracing = studio.scan.is_some() && (!statistics.get().is_done || quality.is_paused());
+    let is_working = opening.is_busy() || pictures.progress().is_some();
+    let is_changing = applied.is_behind(&studio.look) || session.frames_left.is_some();
+    if is_tracing || is_working || is_changing {
         redraw.write(RequestRedraw);
     }
 }

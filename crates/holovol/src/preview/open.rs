@@ -3,15 +3,21 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::thread::JoinHandle;
 
+use bevy::diagnostic::FrameCount;
 use bevy::prelude::*;
-use bevy::tasks::{AsyncComputeTaskPool, Task, futures::check_ready};
 use bevy_holovol::SceneParts;
+use bevy_holovol::environment::DEFAULT_INTENSITY;
 use bevy_holovol::prelude::*;
 use holovol_light::EnvironmentMap;
+use holovol_scene::{Scene, SceneFile};
 use holovol_volume::TransferFunctionFile;
 
 use super::camera::Orbit;
+use super::look::{Light, LightSource, Look};
+use super::settings::Settings;
+use super::studio::{Scan, Studio};
 use super::{FirstFiles, Session, Status};
 use crate::demo;
 
@@ -28,21 +34,73 @@ impl Plugin for OpenPlugin {
 /// What is being read, one after the other.
 #[derive(Resource, Default)]
 pub(crate) struct Opening {
+    /// What the program makes itself, before all else.
+    own: Option<Own>,
     waiting: Vec<PathBuf>,
     reading: Option<Reading>,
 }
 
+#[derive(Clone, Copy, PartialEq)]
+enum Own {
+    Room,
+    Phantom,
+}
+
+impl Own {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Room => "the light of a room",
+            Self::Phantom => "a head phantom in a room",
+        }
+    }
+
+    fn make(self) -> Result<Opened, String> {
+        match self {
+            Self::Room => Ok(Opened::Room(demo::environment())),
+            Self::Phantom => {
+                let scene = demo::scene_in_memory().map_err(|failure| failure.to_string())?;
+                let mut opened = OpenedScene::new(scene);
+                // Its values are names of materials; slices show these apart.
+                opened.scan.grey = [2.0, -14.0];
+                Ok(Opened::Scene(Box::new(opened)))
+            }
+        }
+    }
+}
+
 struct Reading {
     name: String,
+    /// Of what a person opened.
+    path: Option<PathBuf>,
     progress: Arc<[AtomicU64; 2]>,
-    task: Task<Result<Opened, String>>,
+    thread: JoinHandle<Result<Opened, String>>,
 }
 
 enum Opened {
-    Scene(Box<SceneParts>),
-    Volume(Box<VolumeAsset>),
-    TransferFunction(TransferFunctionAsset),
-    Environment(EnvironmentAsset),
+    Scene(Box<OpenedScene>),
+    Volume(Box<Scan>),
+    TransferFunction(TransferFunctionFile),
+    Environment(EnvironmentMap, Option<PathBuf>),
+    /// The light for scans that come without one.
+    Room(EnvironmentMap),
+}
+
+struct OpenedScene {
+    parts: SceneParts,
+    scan: Scan,
+    light: Option<PathBuf>,
+}
+
+impl OpenedScene {
+    fn new(scene: Scene) -> Self {
+        let parts = SceneParts::new(scene);
+        let scan = Scan::new(parts.volume.clone());
+        Self {
+            parts,
+            scan,
+            light: None,
+        }
+    }
 }
 
 impl Opening {
@@ -52,12 +110,14 @@ impl Opening {
     }
 
     pub(crate) fn is_busy(&self) -> bool {
-        self.reading.is_some() || !self.waiting.is_empty()
+        self.reading.is_some() || !self.waiting.is_empty() || self.own.is_some()
     }
 
     /// Name of what is being read, and the part of it that is (0 … 1), if that is known.
     pub(crate) fn progress(&self) -> Option<(&str, Option<f32>)> {
-        let reading = self.reading.as_ref()?;
+        let Some(reading) = &self.reading else {
+            return self.own.map(|own| (own.name(), None));
+        };
         let [done, total] = [0, 1].map(|i: usize| reading.progress[i].load(Ordering::Relaxed));
         let part = (total > 0).then(|| (done as f64 / total as f64) as f32);
         Some((&reading.name, part))
@@ -72,8 +132,10 @@ impl Opening {
         let told = Arc::clone(&progress);
         self.reading = Some(Reading {
             name,
+            path: None,
             progress,
-            task: AsyncComputeTaskPool::get().spawn(async move { read(&told) }),
+            // Not on Bevy's workers: the window's own pipelines are compiled by these meanwhile.
+            thread: std::thread::spawn(move || read(&told)),
         });
     }
 }
@@ -87,16 +149,24 @@ fn read(path: &Path, told: &[AtomicU64; 2]) -> Result<Opened, String> {
     };
     if name.ends_with(".tf.json") {
         let file = TransferFunctionFile::load(path).map_err(|error| error.to_string())?;
-        Ok(Opened::TransferFunction(TransferFunctionAsset::new(file)))
+        Ok(Opened::TransferFunction(file))
     } else if name.ends_with(".json") {
         let scene = holovol_scene::load(path, progress).map_err(|error| error.to_string())?;
-        Ok(Opened::Scene(Box::new(SceneParts::new(scene))))
+        let file = SceneFile::read(path).map_err(|error| error.to_string())?;
+        let base = path.parent().unwrap_or(Path::new(""));
+        let mut opened = OpenedScene::new(scene);
+        opened.scan.path = Some(base.join(&file.volume.path));
+        opened.scan.choice = file.volume.choice;
+        opened.light = file.environment.path.map(|light| base.join(light));
+        Ok(Opened::Scene(Box::new(opened)))
     } else if name.ends_with(".hdr") || name.ends_with(".exr") {
         let map = EnvironmentMap::load(path).map_err(|error| error.to_string())?;
-        Ok(Opened::Environment(EnvironmentAsset::new(map)))
+        Ok(Opened::Environment(map, Some(path.into())))
     } else {
         let volume = holovol_volume::open(path, progress).map_err(|error| error.to_string())?;
-        Ok(Opened::Volume(Box::new(VolumeAsset::new(volume))))
+        let mut scan = Scan::new(VolumeAsset::new(volume));
+        scan.path = Some(path.into());
+        Ok(Opened::Volume(Box::new(scan)))
     }
 }
 
@@ -110,12 +180,11 @@ fn open_first(mut opening: ResMut<Opening>, files: Res<FirstFiles>) {
             .iter()
             .any(|end| name.ends_with(end))
     };
-    if !files.0.iter().any(is_volume) {
-        opening.begin("a head phantom".into(), |_| {
-            let scene = demo::scene_in_memory().map_err(|failure| failure.to_string())?;
-            Ok(Opened::Scene(Box::new(SceneParts::new(scene))))
-        });
-    }
+    opening.own = Some(if files.0.iter().any(is_volume) {
+        Own::Room
+    } else {
+        Own::Phantom
+    });
 }
 
 fn dropped(mut events: MessageReader<FileDragAndDrop>, mut opening: ResMut<Opening>) {
@@ -127,116 +196,157 @@ fn dropped(mut events: MessageReader<FileDragAndDrop>, mut opening: ResMut<Openi
 }
 
 /// Takes in what has been read, and goes on with the next.
-fn finish(mut opening: ResMut<Opening>, mut session: ResMut<Session>, mut show: Show) {
-    if let Some(reading) = &mut opening.reading {
-        let Some(result) = check_ready(&mut reading.task) else {
-            return;
-        };
-        let name = std::mem::take(&mut reading.name);
-        opening.reading = None;
+fn finish(
+    mut opening: ResMut<Opening>,
+    mut session: ResMut<Session>,
+    mut show: Show,
+    frames: Res<FrameCount>,
+) {
+    /// The window is seen, and says what is going on, before all cores are taken.
+    const FRAMES_FIRST: u32 = 4;
+    if frames.0 < FRAMES_FIRST {
+        return;
+    }
+    if opening
+        .reading
+        .as_ref()
+        .is_some_and(|r| !r.thread.is_finished())
+    {
+        return;
+    }
+    if let Some(reading) = opening.reading.take() {
+        let (name, path) = (reading.name, reading.path);
+        let result = reading.thread.join().unwrap_or_else(|_| {
+            Err(format!(
+                "{name} could not be read, by a mistake of this program; please report it with \
+                 the file's format"
+            ))
+        });
         match result {
-            Ok(opened) => show.show(&mut session, name, opened),
+            Ok(opened) => {
+                show.show(&mut session, name, opened);
+                if let Some(path) = path {
+                    show.settings.note_recent(&path);
+                }
+            }
             Err(error) => session.status = Some(Status::Failed(error)),
         }
     }
-    if !opening.waiting.is_empty() {
+    if let Some(own) = opening.own.take() {
+        opening.begin(own.name().into(), move |_| own.make());
+    } else if !opening.waiting.is_empty() {
         let path = opening.waiting.remove(0);
         let name = path.file_name().unwrap_or(path.as_os_str());
         let name = name.to_string_lossy().into_owned();
-        opening.begin(name, move |told| read(&path, told));
+        let file = path.clone();
+        opening.begin(name, move |told| read(&file, told));
+        if let Some(reading) = &mut opening.reading {
+            reading.path = Some(path);
+        }
     }
 }
 
 #[derive(bevy::ecs::system::SystemParam)]
 struct Show<'w, 's> {
+    studio: ResMut<'w, Studio>,
+    settings: ResMut<'w, Settings>,
     volumes: ResMut<'w, Assets<VolumeAsset>>,
-    transfer_functions: ResMut<'w, Assets<TransferFunctionAsset>>,
     environments: ResMut<'w, Assets<EnvironmentAsset>>,
-    environment: ResMut<'w, VolumeEnvironment>,
-    shown: Query<
-        'w,
-        's,
-        (
-            &'static mut Volume3d,
-            &'static mut VolumeMaterial3d,
-            &'static mut VolumeMedium,
-        ),
-    >,
-    cameras: Query<
-        'w,
-        's,
-        (
-            &'static mut Orbit,
-            &'static mut VolumeRenderSettings,
-            &'static mut Projection,
-        ),
-    >,
+    shown: Query<'w, 's, &'static mut Volume3d>,
+    cameras: Query<'w, 's, (&'static mut Orbit, &'static mut Projection)>,
 }
 
 impl Show<'_, '_> {
     fn show(&mut self, session: &mut Session, name: String, opened: Opened) {
-        let Ok((mut volume, mut material, mut medium)) = self.shown.get_mut(session.volume) else {
-            return;
-        };
         session.status = None;
         match opened {
-            Opened::Scene(parts) => {
-                *medium = parts.medium;
-                material.0 = self.transfer_functions.add(parts.transfer_function);
-                volume.0 = self.volumes.add(parts.volume);
-                self.environment.source =
-                    EnvironmentSource::Map(self.environments.add(parts.environment));
-                self.environment.intensity = parts.intensity;
-                self.environment.rotation_y = parts.rotation_y;
-                if let Ok((mut orbit, mut settings, mut projection)) =
-                    self.cameras.get_mut(session.camera)
-                {
-                    *orbit = Orbit::looking(parts.target, parts.camera.translation);
-                    settings.max_scatters = parts.settings.max_scatters;
-                    if let Projection::Perspective(perspective) = &mut *projection {
-                        perspective.fov = parts.projection.fov;
-                    }
-                }
-                session.name = name;
-            }
-            Opened::Volume(asset) => {
-                let [low, high] = asset.volume().auto_window();
-                *medium = VolumeMedium {
-                    window: Some((low, high)),
-                    gradient_factor: 2.0,
-                    ..default()
+            Opened::Scene(opened) => {
+                let parts = opened.parts;
+                let map = self.environments.add(parts.environment);
+                let stops = (parts.intensity / DEFAULT_INTENSITY).log2();
+                let function = parts.transfer_function.file();
+                let look = Look {
+                    window: parts.medium.window.map_or([0.0, 1.0], |(a, b)| [a, b]),
+                    gradient_factor: parts.medium.gradient_factor,
+                    phase_g: parts.medium.phase_g,
+                    light: Light {
+                        source: LightSource::Map {
+                            map,
+                            name: match &opened.light {
+                                Some(path) => file_name(path),
+                                None => "demo room".into(),
+                            },
+                            path: opened.light,
+                        },
+                        rotation_deg: f64::from(parts.rotation_y).to_degrees(),
+                        stops: f64::from(stops),
+                        is_sky: true,
+                    },
+                    max_scatters: parts.settings.max_scatters,
+                    points: function.transfer_function.points().to_vec(),
+                    optical_depth_scale: function.optical_depth_scale,
+                    ..Look::default()
                 };
-                material.0 = self
-                    .transfer_functions
-                    .add(TransferFunctionAsset::default());
-                let matrix = asset.local_from_unit_cube();
-                let size = [0, 1, 2].map(|i| matrix.col(i).truncate().length_squared());
-                let diagonal = size.iter().sum::<f64>().sqrt() as f32;
-                for notice in asset.volume().notices() {
+                let orbit = Orbit::looking(parts.target, parts.camera.translation);
+                self.begin(session, name, opened.scan, look);
+                self.place_camera(session, orbit, parts.projection.fov);
+            }
+            Opened::Volume(scan) => {
+                let look = Look {
+                    window: scan.volume().auto_window(),
+                    gradient_factor: 2.0,
+                    // The light stays: this scan stands in the same room as the last.
+                    light: self.studio.look.light.clone(),
+                    ..Look::default()
+                };
+                for notice in scan.volume().notices() {
                     session.status = Some(Status::Done(notice.clone()));
                 }
-                volume.0 = self.volumes.add(*asset);
-                if let Ok((mut orbit, _, mut projection)) = self.cameras.get_mut(session.camera) {
-                    let eye = Vec3::new(0.55, 0.25, 1.1).normalize() * 1.7 * diagonal;
-                    *orbit = Orbit::looking(Vec3::ZERO, eye);
-                    if let Projection::Perspective(perspective) = &mut *projection {
-                        perspective.fov = std::f32::consts::FRAC_PI_4;
-                    }
-                }
-                session.name = name;
+                let distance = 3.4 * scan.radius() as f32;
+                let eye = Vec3::new(0.55, 0.25, 1.1).normalize() * distance;
+                let middle = scan.middle().as_vec3();
+                self.begin(session, name, *scan, look);
+                let orbit = Orbit::looking(middle, middle + eye);
+                self.place_camera(session, orbit, std::f32::consts::FRAC_PI_4);
             }
-            Opened::TransferFunction(asset) => {
-                // A window of its own belongs to it; else that of the scan stays.
-                if let Some([low, high]) = asset.file().window {
-                    medium.window = Some((low, high));
-                }
-                material.0 = self.transfer_functions.add(asset);
+            Opened::TransferFunction(file) => {
+                self.studio.look.set_transfer_function(&file);
                 session.status = Some(Status::Done(format!("{name} is the transfer function")));
             }
-            Opened::Environment(asset) => {
-                self.environment.source = EnvironmentSource::Map(self.environments.add(asset));
+            Opened::Environment(map, path) => {
+                self.light(map, path, name.clone());
                 session.status = Some(Status::Done(format!("{name} is the light")));
+            }
+            Opened::Room(map) => self.light(map, None, "demo room".into()),
+        }
+    }
+
+    fn light(&mut self, map: EnvironmentMap, path: Option<PathBuf>, name: String) {
+        let map = self.environments.add(EnvironmentAsset::new(map));
+        self.studio.look.light.source = LightSource::Map { map, path, name };
+    }
+
+    fn begin(&mut self, session: &mut Session, name: String, scan: Scan, look: Look) {
+        if let Ok(mut volume) = self.shown.get_mut(session.volume) {
+            volume.0 = self.volumes.add(scan.asset.clone());
+        }
+        session.name = name;
+        self.studio.history.begin(&look);
+        self.studio.look = look;
+        self.studio.scan = Some(scan);
+    }
+
+    fn place_camera(&mut self, session: &Session, orbit: Orbit, fov: f32) {
+        if let Ok((mut old, mut projection)) = self.cameras.get_mut(session.camera) {
+            *old = orbit;
+            if let Projection::Perspective(perspective) = &mut *projection {
+                perspective.fov = fov;
             }
         }
     }
+}
+
+fn file_name(path: &Path) -> String {
+    let name = path.file_name().unwrap_or(path.as_os_str());
+    name.to_string_lossy().into_owned()
 }

@@ -1,8 +1,12 @@
 //! Coarser while something moves, so that it moves smoothly; finer and finer at rest.
 
+use bevy::input::keyboard::KeyboardInput;
+use bevy::input::mouse::{MouseButtonInput, MouseWheel};
 use bevy::prelude::*;
 use bevy::time::Real;
 use bevy_holovol::prelude::*;
+
+use super::pictures::Pictures;
 
 /// Samples per pixel at which a resting view is done.
 pub(crate) const RESTING_SAMPLES: u32 = 2048;
@@ -15,6 +19,12 @@ const SCALES: std::ops::RangeInclusive<f32> = 0.1..=1.0;
 const MAX_SAMPLES_PER_FRAME: u32 = 16;
 /// Seconds without change after which a view rests.
 const REST_AFTER: f32 = 0.25;
+/// Where a full frame takes longer than this, half the resolution comes first, for so long.
+const SLOW_FRAME: f32 = 0.5;
+const HALF_UNTIL: f32 = 3.0;
+/// On slow machines a resting view waits while somebody uses the panel.
+const PAUSE_ABOVE: f32 = 0.15;
+const PAUSE_SECONDS: f32 = 0.8;
 
 pub(crate) struct QualityPlugin;
 
@@ -32,6 +42,14 @@ pub(crate) struct Quality {
     motion_scale: f32,
     samples: u32,
     since_change: f32,
+    /// Half the resolution, on the way to all of it.
+    is_half: bool,
+    /// Of the view, pixels.
+    size: Option<UVec2>,
+    /// What a frame of the whole resolution took when it was last traced, seconds.
+    full_seconds: f32,
+    /// Since a hand was at mouse or keys, seconds.
+    since_input: f32,
     /// Smoothed seconds of a frame.
     pub(crate) frame_seconds: f32,
 }
@@ -39,9 +57,14 @@ pub(crate) struct Quality {
 impl Default for Quality {
     fn default() -> Self {
         Self {
-            motion_scale: 0.5,
+            // Coarse, so that there is something to see at once.
+            motion_scale: 0.25,
             samples: 1,
             since_change: 0.0,
+            is_half: false,
+            size: None,
+            full_seconds: 0.0,
+            since_input: f32::INFINITY,
             frame_seconds: MOTION_BUDGET,
         }
     }
@@ -66,11 +89,33 @@ impl Quality {
         }
         if self.is_moving() {
             self.samples = 1;
+            let full = self.frame_seconds / (self.motion_scale * self.motion_scale);
+            self.is_half = self.motion_scale < 0.5 && full > SLOW_FRAME;
+        } else if self.is_half {
+            self.is_half = self.since_change < HALF_UNTIL;
         } else if self.frame_seconds < 0.5 * REST_BUDGET {
             self.samples = (2 * self.samples).min(MAX_SAMPLES_PER_FRAME);
         } else if self.frame_seconds > REST_BUDGET {
             self.samples = (self.samples / 2).max(1);
         }
+    }
+
+    /// Notes whether somebody is at mouse or keys, after [`Self::note`].
+    fn note_input(&mut self, seconds: f32, is_used: bool) {
+        let was_paused = self.is_paused();
+        if !self.is_moving() && !self.is_half && !was_paused {
+            self.full_seconds = seconds;
+        }
+        self.since_input = if is_used {
+            0.0
+        } else {
+            self.since_input + seconds
+        };
+    }
+
+    /// Tracing waits: its frames would take so long that the panel would not follow the hand.
+    pub(crate) fn is_paused(&self) -> bool {
+        !self.is_moving() && self.full_seconds > PAUSE_ABOVE && self.since_input < PAUSE_SECONDS
     }
 
     fn is_moving(&self) -> bool {
@@ -80,6 +125,8 @@ impl Quality {
     fn scale(&self) -> f32 {
         if self.is_moving() {
             self.motion_scale
+        } else if self.is_half {
+            0.5
         } else {
             1.0
         }
@@ -93,15 +140,42 @@ type Shown<'a> = (
     Ref<'a, GlobalTransform>,
 );
 
+#[derive(bevy::ecs::system::SystemParam)]
+struct Input<'w, 's> {
+    moved: MessageReader<'w, 's, CursorMoved>,
+    pressed: MessageReader<'w, 's, MouseButtonInput>,
+    turned: MessageReader<'w, 's, MouseWheel>,
+    typed: MessageReader<'w, 's, KeyboardInput>,
+}
+
+impl Input<'_, '_> {
+    fn is_used(&mut self) -> bool {
+        let is_used = !self.moved.is_empty()
+            || !self.pressed.is_empty()
+            || !self.turned.is_empty()
+            || !self.typed.is_empty();
+        self.moved.clear();
+        self.pressed.clear();
+        self.turned.clear();
+        self.typed.clear();
+        is_used
+    }
+}
+
+#[expect(clippy::too_many_arguments, reason = "all that a view depends on")]
 fn adapt(
     mut quality: ResMut<Quality>,
     time: Res<Time<Real>>,
     environment: Res<VolumeEnvironment>,
     volumes: Query<Shown>,
-    mut cameras: Query<(Ref<Transform>, &mut VolumeRenderSettings)>,
+    mut cameras: Query<(Ref<Transform>, &Camera, &mut VolumeRenderSettings)>,
     mut transfer_functions: MessageReader<AssetEvent<TransferFunctionAsset>>,
     planes: Query<(), (With<VolumeClipPlane>, Changed<GlobalTransform>)>,
+    mut input: Input,
+    pictures: Res<Pictures>,
 ) {
+    let is_used = input.is_used();
+    let is_working = pictures.progress().is_some();
     let edited = transfer_functions
         .read()
         .any(|e| matches!(e, AssetEvent::Modified { .. }));
@@ -111,11 +185,19 @@ fn adapt(
             || medium.is_changed()
             || transform.is_changed()
     });
-    for (transform, mut settings) in &mut cameras {
-        let changed = transform.is_changed() || moved || edited;
+    for (transform, camera, mut settings) in &mut cameras {
+        let size = camera.physical_viewport_size();
+        let is_resized = std::mem::replace(&mut quality.size, size) != size;
+        let changed = is_resized || transform.is_changed() || moved || edited;
         let changed = changed || environment.is_changed() || !planes.is_empty();
         quality.note(time.delta_secs(), changed);
-        let (scale, samples) = (quality.scale(), quality.samples);
+        quality.note_input(time.delta_secs(), is_used);
+        let samples = if quality.is_paused() || (is_working && !quality.is_moving()) {
+            0
+        } else {
+            quality.samples
+        };
+        let scale = quality.scale();
         if settings.resolution_scale != scale || settings.samples != samples {
             settings.resolution_scale = scale;
             settings.samples = samples;
@@ -150,11 +232,41 @@ mod tests {
     }
 
     #[test]
+    fn a_slow_machine_waits_for_the_hand_and_a_fast_one_does_not() {
+        for (full, pauses) in [(2.0, true), (0.02, false)] {
+            let mut quality = Quality::default();
+            after(60, full, &mut quality, true);
+            after(60, full, &mut quality, false);
+            quality.note_input(full, false);
+            assert!(!quality.is_paused());
+            quality.note_input(full, true);
+            assert_eq!(quality.is_paused(), pauses, "{full}");
+            // Its own quick frames while it waits don't make it forget.
+            for _ in 0..10 {
+                quality.note(0.02, false);
+                quality.note_input(0.02, false);
+            }
+            assert_eq!(quality.is_paused(), pauses, "{full}");
+            for _ in 0..60 {
+                quality.note(0.02, false);
+                quality.note_input(0.02, false);
+            }
+            assert!(!quality.is_paused());
+        }
+    }
+
+    #[test]
     fn rest_is_full_resolution_and_more_samples_where_they_are_cheap() {
         let mut quality = Quality::default();
         after(100, 0.3, &mut quality, true);
         after(20, 0.3, &mut quality, false);
         assert_eq!((quality.scale(), quality.samples), (1.0, 1));
+        // Where that is slow, half of it comes first.
+        after(100, 2.0, &mut quality, true);
+        after(12, 2.0, &mut quality, false);
+        assert_eq!(quality.scale(), 0.5);
+        after(20, 2.0, &mut quality, false);
+        assert_eq!(quality.scale(), 1.0);
         let mut quality = Quality::default();
         after(100, 0.002, &mut quality, false);
         assert_eq!(quality.samples, MAX_SAMPLES_PER_FRAME);

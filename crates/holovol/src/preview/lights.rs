@@ -1,0 +1,227 @@
+//! What the panel shows of the light: the panorama, the brightest places in it, and a sphere.
+
+use std::f64::consts::{PI, TAU};
+
+use glam::DVec3;
+use holovol_light::{EnvironmentMap, luminance};
+
+use crate::picture::encode_srgb;
+
+/// A small copy of a map.
+#[derive(Clone, Debug)]
+pub(crate) struct Overview {
+    /// Mean radiance, row by row from the top.
+    texels: Vec<[f64; 3]>,
+    /// Mean over the sphere.
+    mean: f64,
+}
+
+/// A bright place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Bright {
+    /// In the map's own frame.
+    pub(crate) direction: DVec3,
+    /// Of all light, 0 … 1.
+    pub(crate) share: f64,
+}
+
+pub(crate) const WIDTH: usize = 128;
+pub(crate) const HEIGHT: usize = 64;
+/// Times the mean from which on a place counts as a light.
+const BRIGHT: f64 = 6.0;
+/// Of all light, that a place must give to be told of.
+const SHARE_MIN: f64 = 0.01;
+
+/// Solid angle of a texel of the overview.
+fn solid_angle(row: usize) -> f64 {
+    let [top, bottom] = [row, row + 1].map(|y| (PI * y as f64 / HEIGHT as f64).cos());
+    (top - bottom) * TAU / WIDTH as f64
+}
+
+fn direction(index: usize) -> DVec3 {
+    let [x, y] = [index % WIDTH, index / WIDTH].map(|i| i as f64 + 0.5);
+    EnvironmentMap::direction_from_uv([x / WIDTH as f64, y / HEIGHT as f64])
+}
+
+impl Overview {
+    pub(crate) fn new(map: &EnvironmentMap) -> Self {
+        let mut sums = vec![([0.0; 3], 0.0); WIDTH * HEIGHT];
+        let (width, height) = (map.width().max(1), map.height().max(1));
+        // A map smaller than this copy is looked up, a larger one summed.
+        let (columns, rows) = (width.max(WIDTH), height.max(HEIGHT));
+        for y in 0..rows {
+            for x in 0..columns {
+                let texel = map.texel((x * width / columns) as i64, (y * height / rows) as i64);
+                let (sum, count) = &mut sums[y * HEIGHT / rows * WIDTH + x * WIDTH / columns];
+                for (sum, c) in sum.iter_mut().zip(texel) {
+                    *sum += f64::from(c);
+                }
+                *count += 1.0;
+            }
+        }
+        let texels: Vec<[f64; 3]> = sums
+            .into_iter()
+            .map(|(sum, count): ([f64; 3], f64)| sum.map(|c| c / count.max(1.0)))
+            .collect();
+        let weighted = texels.iter().enumerate();
+        let mean = weighted
+            .map(|(i, texel)| luminance(*texel) * solid_angle(i / WIDTH))
+            .sum::<f64>()
+            / (4.0 * PI);
+        Self { texels, mean }
+    }
+
+    /// The panorama for display, 8-bit sRGB.
+    pub(crate) fn picture(&self) -> Vec<[u8; 3]> {
+        let exposure = 0.35 / self.mean.max(1e-9);
+        let develop = |texel: &[f64; 3]| texel.map(|c| encode_srgb(soft(c * exposure)));
+        self.texels.iter().map(develop).collect()
+    }
+
+    /// Bright places, the strongest first.
+    pub(crate) fn lights(&self) -> Vec<Bright> {
+        let level = BRIGHT * self.mean;
+        let all = (4.0 * PI * self.mean).max(1e-30);
+        let mut is_open: Vec<bool> = self
+            .texels
+            .iter()
+            .map(|texel| luminance(*texel) > level)
+            .collect();
+        let mut found = Vec::new();
+        for start in 0..is_open.len() {
+            if !is_open[start] {
+                continue;
+            }
+            is_open[start] = false;
+            let (mut waiting, mut flux, mut sum) = (vec![start], 0.0, DVec3::ZERO);
+            while let Some(index) = waiting.pop() {
+                let (x, y) = (index % WIDTH, index / WIDTH);
+                let power = luminance(self.texels[index]) * solid_angle(y);
+                flux += power;
+                sum += direction(index) * power;
+                let beside = [
+                    Some((x + 1) % WIDTH + WIDTH * y),
+                    Some((x + WIDTH - 1) % WIDTH + WIDTH * y),
+                    (y > 0).then(|| index - WIDTH),
+                    (y + 1 < HEIGHT).then(|| index + WIDTH),
+                ];
+                for next in beside.into_iter().flatten() {
+                    if std::mem::take(&mut is_open[next]) {
+                        waiting.push(next);
+                    }
+                }
+            }
+            found.push(Bright {
+                direction: sum.normalize_or_zero(),
+                share: flux / all,
+            });
+        }
+        found.retain(|light| light.share >= SHARE_MIN);
+        found.sort_by(|a, b| b.share.total_cmp(&a.share));
+        found.truncate(8);
+        found
+    }
+
+    /// A ball in this light, its left half a mirror and its right half chalk; `size` × `size`
+    /// sRGB with opacity. `rotation_y` in radians, seen along −z.
+    pub(crate) fn ball(&self, rotation_y: f64, size: usize) -> Vec<[u8; 4]> {
+        let exposure = 0.5 / self.mean.max(1e-9);
+        let (sin, cos) = rotation_y.sin_cos();
+        let map_from_world =
+            |d: DVec3| DVec3::new(cos * d.x - sin * d.z, d.y, sin * d.x + cos * d.z);
+        // Coarser still: irradiance is smooth.
+        let sources: Vec<(DVec3, [f64; 3])> = self
+            .texels
+            .iter()
+            .enumerate()
+            .map(|(i, texel)| (direction(i), texel.map(|c| c * solid_angle(i / WIDTH))))
+            .filter(|(_, power)| luminance(*power) > 1e-4 * self.mean * solid_angle(HEIGHT / 2))
+            .collect();
+        let pixel = |index: usize| {
+            let [x, y] =
+                [index % size, index / size].map(|i| 2.0 * (i as f64 + 0.5) / size as f64 - 1.0);
+            let square = x * x + y * y;
+            if square >= 1.0 {
+                return [0; 4];
+            }
+            let normal = DVec3::new(x, -y, (1.0 - square).sqrt());
+            let light = if x < 0.0 {
+                let seen = 2.0 * normal.z * normal - DVec3::Z;
+                self.look_up(map_from_world(seen))
+            } else {
+                let normal = map_from_world(normal);
+                let mut sum = [0.0; 3];
+                for (direction, power) in &sources {
+                    let cosine = normal.dot(*direction).max(0.0) / PI;
+                    for (sum, c) in sum.iter_mut().zip(power) {
+                        *sum += c * cosine;
+                    }
+                }
+                sum
+            };
+            let [r, g, b] = light.map(|c| encode_srgb(soft(c * exposure)));
+            [r, g, b, 255]
+        };
+        (0..size * size).map(pixel).collect()
+    }
+
+    fn look_up(&self, direction: DVec3) -> [f64; 3] {
+        let [u, v] = EnvironmentMap::uv_from_direction(direction);
+        let x = ((u * WIDTH as f64) as usize).min(WIDTH - 1);
+        let y = ((v * HEIGHT as f64) as usize).min(HEIGHT - 1);
+        self.texels[x + WIDTH * y]
+    }
+}
+
+/// Rolls off towards 1, so that lamps keep a colour.
+fn soft(c: f64) -> f64 {
+    let c = c.max(0.0);
+    if c < 0.6 { c } else { 1.0 - 0.16 / (c - 0.2) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Dim all around with a lamp that gives most of the light.
+    fn room(lamp: DVec3) -> EnvironmentMap {
+        let (width, height) = (256, 128);
+        let texels = (0..width * height).map(|i| {
+            let uv = [(i % width) as f64 + 0.5, (i / width) as f64 + 0.5];
+            let at =
+                EnvironmentMap::direction_from_uv([uv[0] / width as f64, uv[1] / height as f64]);
+            [if at.dot(lamp) > 0.99 { 500.0 } else { 0.1 }; 3]
+        });
+        EnvironmentMap::new(width, height, texels.collect())
+    }
+
+    #[test]
+    fn a_lamp_is_found_also_across_the_seam() {
+        for lamp in [DVec3::new(0.3, 0.5, -0.7), DVec3::new(0.01, 0.2, 1.0)] {
+            let lamp = lamp.normalize();
+            let overview = Overview::new(&room(lamp));
+            let lights = overview.lights();
+            assert_eq!(lights.len(), 1, "{lights:?}");
+            assert!(lights[0].direction.dot(lamp) > 0.999, "{lights:?}");
+            // 500 · 2π · 0.01 of that and 0.1 · 4π.
+            assert!((lights[0].share - 0.962).abs() < 0.02, "{lights:?}");
+        }
+        assert!(
+            Overview::new(&EnvironmentMap::constant([1.0; 3]))
+                .lights()
+                .is_empty()
+        );
+    }
+
+    #[test]
+    fn the_ball_is_bright_where_the_light_is_and_turns_with_it() {
+        let overview = Overview::new(&room(DVec3::new(1.0, 0.0, 0.3).normalize()));
+        let size = 32;
+        let at = |ball: &[[u8; 4]], x: usize, y: usize| ball[x + size * y];
+        let lit = overview.ball(0.0, size);
+        assert!(at(&lit, 29, 16)[0] > 150, "{:?}", at(&lit, 29, 16));
+        assert_eq!(at(&lit, 0, 0)[3], 0);
+        let turned = overview.ball(PI, size);
+        assert!(at(&turned, 29, 16)[0] < at(&lit, 29, 16)[0] / 2);
+    }
+}

@@ -1,0 +1,137 @@
+//! Opening: a path with completion, and what was opened before.
+
+use std::path::{Path, PathBuf};
+
+use bevy_egui::egui;
+
+use super::super::presets::Preset;
+use super::{Panel, Shown};
+
+/// Names offered at once.
+const OFFERS: usize = 8;
+
+pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
+    ui.horizontal(|ui| {
+        let field = egui::TextEdit::singleline(&mut panel.path)
+            .hint_text("drop a file or folder, or type its path")
+            .desired_width(super::WIDTH - 118.0);
+        let field = ui.add(field);
+        let entered = field.lost_focus() && ui.input(|input| input.key_pressed(egui::Key::Enter));
+        if (ui.button("Open").clicked() || entered) && !panel.path.trim().is_empty() {
+            shown.opening.open(PathBuf::from(panel.path.trim()));
+        }
+        let mut chosen = None;
+        ui.menu_button("Recent", |ui| {
+            if shown.settings.recent.is_empty() {
+                ui.weak("nothing yet");
+            }
+            for path in &shown.settings.recent {
+                let name = path.file_name().unwrap_or(path.as_os_str());
+                let button = ui.button(name.to_string_lossy());
+                if button.on_hover_text(path.to_string_lossy()).clicked() {
+                    chosen = Some(path.clone());
+                    ui.close();
+                }
+            }
+        });
+        if let Some(path) = chosen {
+            shown.opening.open(path);
+        }
+    });
+    if panel.path.is_empty() {
+        return;
+    }
+    let offers = completions(&panel.path);
+    let is_there = offers.len() == 1 && offers[0].to_string_lossy() == panel.path;
+    if !is_there {
+        for offer in offers.into_iter().take(OFFERS) {
+            let name = offer.file_name().unwrap_or_default().to_string_lossy();
+            let text = if offer.is_dir() {
+                format!("{name}{}", std::path::MAIN_SEPARATOR)
+            } else {
+                name.into_owned()
+            };
+            if ui.selectable_label(false, text).clicked() {
+                panel.path = offer.to_string_lossy().into_owned();
+                if offer.is_dir() {
+                    panel.path.push(std::path::MAIN_SEPARATOR);
+                } else {
+                    shown.opening.open(offer);
+                    panel.path.clear();
+                }
+            }
+        }
+    }
+}
+
+/// Files and folders whose paths begin so, sorted; hidden ones only if asked for.
+fn completions(typed: &str) -> Vec<PathBuf> {
+    let path = Path::new(typed);
+    let (folder, begin) = if typed.ends_with(std::path::MAIN_SEPARATOR) {
+        (path, String::new())
+    } else {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        (path.parent().unwrap_or(Path::new("")), name.into_owned())
+    };
+    let place = if folder.as_os_str().is_empty() {
+        Path::new(".")
+    } else {
+        folder
+    };
+    let Ok(entries) = std::fs::read_dir(place) else {
+        return Vec::new();
+    };
+    let mut found: Vec<PathBuf> = entries
+        .flatten()
+        .filter(|entry| {
+            let name = entry.file_name();
+            let name = name.to_string_lossy();
+            let fits = name.to_lowercase().starts_with(&begin.to_lowercase());
+            fits && (begin.starts_with('.') || !name.starts_with('.'))
+        })
+        .map(|entry| folder.join(entry.file_name()))
+        .collect();
+    found.sort();
+    found
+}
+
+/// A choice of looks.
+pub(super) fn presets(ui: &mut egui::Ui, shown: &mut Shown) {
+    egui::ComboBox::from_id_salt("presets")
+        .selected_text("preset …")
+        .show_ui(ui, |ui| {
+            for preset in Preset::ALL {
+                if ui.selectable_label(false, preset.name()).clicked()
+                    && let Some(scan) = &shown.studio.scan
+                {
+                    let window = scan.grey;
+                    preset.apply(&mut shown.studio.look, window);
+                }
+            }
+        });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_are_completed() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["Head.nii", "heart.nrrd", "lung.nii", ".hidden"] {
+            std::fs::write(folder.path().join(name), "").unwrap();
+        }
+        let names = |typed: &str| -> Vec<String> {
+            let typed = folder.path().join(typed);
+            completions(&typed.to_string_lossy())
+                .iter()
+                .map(|path| path.file_name().unwrap().to_string_lossy().into_owned())
+                .collect()
+        };
+        assert_eq!(names("he"), ["Head.nii", "heart.nrrd"]);
+        assert_eq!(names(""), ["Head.nii", "heart.nrrd", "lung.nii"]);
+        assert_eq!(names(".h"), [".hidden"]);
+        assert_eq!(names("x"), Vec::<String>::new());
+        assert!(completions("/nowhere/at/all/").is_empty());
+    }
+}

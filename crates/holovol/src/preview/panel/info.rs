@@ -1,0 +1,105 @@
+//! Numbers, keys, and what this program is not for.
+
+use bevy_egui::egui;
+
+use super::{Panel, Shown};
+
+const KEYS: [(&str, &str); 19] = [
+    ("drag, one finger", "turn"),
+    ("right drag, two fingers", "move"),
+    ("wheel, pinch", "nearer, farther"),
+    ("click", "moves the cross of the slices"),
+    ("1 2 3, 4 5 6", "from front, left, top; the opposite"),
+    ("Home", "first view"),
+    ("F", "fly or orbit"),
+    ("W A S D Q E", "fly"),
+    ("B", "bookmark"),
+    ("L", "slices"),
+    ("M", "marks: orientation, scale"),
+    ("R", "ruler: two clicks"),
+    ("P", "picture"),
+    ("Ctrl S", "save scene"),
+    ("Ctrl Z, Ctrl Y", "undo, redo"),
+    ("Esc", "stop ruler, pictures"),
+    ("Tab", "panel"),
+    ("F1", "about"),
+    ("right click on a point", "delete it"),
+];
+
+pub(super) fn keys(ui: &mut egui::Ui) {
+    egui::Grid::new("keys").num_columns(2).show(ui, |ui| {
+        for (key, what) in KEYS {
+            ui.strong(key);
+            ui.label(what);
+            ui.end_row();
+        }
+    });
+}
+
+pub(super) fn numbers(ui: &mut egui::Ui, shown: &Shown) {
+    let numbers = shown.statistics.get();
+    let seconds = shown.quality.frame_seconds;
+    let mut rows = vec![
+        ("adapter".to_owned(), shown.adapter.name.clone()),
+        ("driver".to_owned(), shown.adapter.driver_info.clone()),
+        ("frame".to_owned(), format!("{:.1} ms", 1e3 * seconds)),
+    ];
+    // Where the device can tell, what each stage of ours took.
+    for diagnostic in shown.diagnostics.iter() {
+        let path = diagnostic.path().as_str();
+        if let Some(stage) = path.split('/').find(|part| part.starts_with("holovol"))
+            && let (Some(value), true) = (diagnostic.smoothed(), path.contains("elapsed"))
+        {
+            let clock = if path.ends_with("gpu") { "GPU" } else { "CPU" };
+            let stage = stage.trim_start_matches("holovol_").replace('_', " ");
+            rows.push((format!("{stage}, {clock}"), format!("{value:.2} ms")));
+        }
+    }
+    rows.push((
+        "samples per pixel".into(),
+        numbers.samples_per_pixel.to_string(),
+    ));
+    let millions = numbers.samples as f64 / 1e6;
+    rows.push(("samples so far".into(), format!("{millions:.1} M")));
+    rows.push(("uploads".into(), numbers.uploads.to_string()));
+    if let Some(scan) = &shown.studio.scan {
+        let [x, y, z] = scan.volume().dims();
+        rows.push(("voxels".into(), format!("{x} × {y} × {z}")));
+        let voxels = scan.volume().voxels();
+        let bytes = voxels.len() * voxels.kind().bytes();
+        let megabytes = bytes as f64 / f64::from(1 << 20);
+        rows.push(("memory of voxels".into(), format!("{megabytes:.1} MiB")));
+    }
+    egui::Grid::new("numbers").num_columns(2).show(ui, |ui| {
+        for (name, value) in rows {
+            ui.label(name);
+            ui.monospace(value);
+            ui.end_row();
+        }
+    });
+}
+
+pub(super) fn about(context: &egui::Context, panel: &mut Panel) {
+    if !panel.shows_about {
+        return;
+    }
+    let modal = egui::Modal::new("about".into()).show(context, |ui| {
+        ui.set_width(360.0);
+        ui.heading(format!("holovol {}", env!("CARGO_PKG_VERSION")));
+        ui.label("Shows scans as if they stood in the light of a room.");
+        ui.add_space(8.0);
+        ui.strong("Not for diagnosis.");
+        ui.label(
+            "This is no medical device. Colours, opacities and light are chosen to be seen well, \
+             and hide what they hide; measure and decide nothing about a patient by it.",
+        );
+        ui.add_space(8.0);
+        ui.label("Names of patients are neither shown nor kept.");
+        ui.label("MIT or Apache-2.0, as you like.");
+        ui.add_space(8.0);
+        ui.button("Close").clicked()
+    });
+    if modal.inner || modal.should_close() {
+        panel.shows_about = false;
+    }
+}

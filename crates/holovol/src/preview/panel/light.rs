@@ -1,0 +1,155 @@
+//! Light: where it comes from, its panorama with what is bright in it, and a ball in it.
+
+use bevy_egui::egui::{self, Color32, ColorImage, Pos2, Rect, Sense, Stroke, TextureOptions, vec2};
+use holovol_light::EnvironmentMap;
+
+use super::super::lights::{Bright, HEIGHT, Overview, WIDTH};
+use super::super::look::LightSource;
+use super::{Panel, Shown as PanelShown};
+
+/// What has been drawn of the present light.
+#[derive(Default)]
+pub(crate) struct Shown {
+    of: Option<LightSource>,
+    overview: Option<Overview>,
+    lights: Vec<Bright>,
+    panorama: Option<egui::TextureHandle>,
+    ball: Option<(i32, egui::TextureHandle)>,
+}
+
+/// Pixels along the ball.
+const BALL: usize = 56;
+
+pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut PanelShown) {
+    refresh(ui, &mut panel.light, shown);
+    let light = &mut shown.studio.look.light;
+    ui.horizontal(|ui| {
+        let name = match &light.source {
+            LightSource::Constant(_) => "the same from everywhere",
+            LightSource::Map { name, .. } => name,
+        };
+        ui.label(name)
+            .on_hover_text("Drop an .hdr or .exr panorama for another");
+        if ui.button("White").clicked() {
+            light.source = LightSource::Constant([1.0; 3]);
+        }
+        if let LightSource::Constant(rgb) = &mut light.source {
+            ui.color_edit_button_rgb(rgb);
+        }
+    });
+    panorama(ui, &mut panel.light, light);
+    egui::Grid::new("light").num_columns(2).show(ui, |ui| {
+        ui.label("turned by");
+        ui.add(egui::Slider::new(&mut light.rotation_deg, -180.0..=180.0).suffix("°"));
+        ui.end_row();
+        ui.label("stops");
+        ui.add(egui::Slider::new(&mut light.stops, -8.0..=8.0));
+        ui.end_row();
+    });
+    ui.checkbox(&mut light.is_sky, "show it behind the scan");
+    if !panel.light.lights.is_empty() {
+        let shares: Vec<String> = panel
+            .light
+            .lights
+            .iter()
+            .enumerate()
+            .map(|(i, light)| format!("{}: {:.0} %", i + 1, 100.0 * light.share))
+            .collect();
+        ui.label(format!("lights found, of all light: {}", shares.join("  ")));
+    }
+}
+
+/// Looks at the light again if it is another.
+fn refresh(ui: &egui::Ui, drawn: &mut Shown, shown: &PanelShown) {
+    let source = &shown.studio.look.light.source;
+    if drawn.of.as_ref() != Some(source)
+        && let Some(map) = shown.map()
+    {
+        *drawn = Shown::of(source.clone(), &map);
+    }
+    let Some(overview) = &drawn.overview else {
+        return;
+    };
+    if drawn.panorama.is_none() {
+        let pixels = overview.picture().concat();
+        let image = ColorImage::from_rgb([WIDTH, HEIGHT], &pixels);
+        let texture = ui
+            .ctx()
+            .load_texture("panorama", image, TextureOptions::LINEAR);
+        drawn.panorama = Some(texture);
+    }
+    // A degree is not seen on a ball so small.
+    let degrees = shown.studio.look.light.rotation_deg.round() as i32;
+    if drawn.ball.as_ref().map(|ball| ball.0) != Some(degrees) {
+        let pixels = overview
+            .ball(f64::from(degrees).to_radians(), BALL)
+            .concat();
+        let image = ColorImage::from_rgba_unmultiplied([BALL, BALL], &pixels);
+        match &mut drawn.ball {
+            Some((of, texture)) => {
+                *of = degrees;
+                texture.set(image, TextureOptions::LINEAR);
+            }
+            None => {
+                let texture = ui.ctx().load_texture("ball", image, TextureOptions::LINEAR);
+                drawn.ball = Some((degrees, texture));
+            }
+        }
+    }
+}
+
+impl Shown {
+    fn of(source: LightSource, map: &EnvironmentMap) -> Self {
+        let overview = Overview::new(map);
+        Self {
+            of: Some(source),
+            lights: overview.lights(),
+            overview: Some(overview),
+            panorama: None,
+            ball: None,
+        }
+    }
+}
+
+/// The panorama as it stands in the room: dragging it turns the light.
+fn panorama(ui: &mut egui::Ui, drawn: &mut Shown, light: &mut super::super::look::Light) {
+    let (Some(panorama), Some((_, ball))) = (&drawn.panorama, &drawn.ball) else {
+        return;
+    };
+    ui.horizontal(|ui| {
+        let width = ui.available_width() - BALL as f32 - 12.0;
+        let (rect, response) =
+            ui.allocate_exact_size(vec2(width, 0.5 * width), Sense::click_and_drag());
+        // The image's centre is −z; turning the light by +θ moves it to the left.
+        let shift = -(light.rotation_deg / 360.0) as f32;
+        let painter = ui.painter().with_clip_rect(rect);
+        let whole = Rect::from_min_max(Pos2::ZERO, Pos2::new(1.0, 1.0));
+        for turn in -1..=1 {
+            let moved = rect.translate(vec2((shift + turn as f32) * rect.width(), 0.0));
+            painter.image(panorama.id(), moved, whole, Color32::WHITE);
+        }
+        for (index, bright) in drawn.lights.iter().enumerate() {
+            let [u, v] = EnvironmentMap::uv_from_direction(bright.direction);
+            let x = (u as f32 + shift).rem_euclid(1.0);
+            let at = Pos2::new(
+                rect.left() + x * rect.width(),
+                rect.top() + v as f32 * rect.height(),
+            );
+            let radius = 4.0 + 12.0 * bright.share.sqrt() as f32;
+            painter.circle_stroke(at, radius, Stroke::new(2.5, Color32::from_black_alpha(160)));
+            painter.circle_stroke(at, radius, Stroke::new(1.2, Color32::YELLOW));
+            let font = egui::FontId::proportional(11.0);
+            let text = (index + 1).to_string();
+            painter.text(at, egui::Align2::CENTER_CENTER, text, font, Color32::YELLOW);
+        }
+        if response.dragged() {
+            let turned =
+                light.rotation_deg - f64::from(response.drag_delta().x / rect.width() * 360.0);
+            light.rotation_deg = (turned + 180.0).rem_euclid(360.0) - 180.0;
+        }
+        response.on_hover_text("Drag to turn the light");
+        let size = egui::Vec2::splat(BALL as f32);
+        ui.image((ball.id(), size))
+            .on_hover_text("A ball in this light: half mirror, half chalk");
+    });
+}

@@ -1,0 +1,132 @@
+//! The line at the bottom: what is going on, or what is under the cursor.
+
+use bevy_egui::egui;
+
+use super::super::Status;
+use super::super::measure::length_text;
+use super::super::quality::RESTING_SAMPLES;
+use super::Shown;
+
+pub(super) fn draw(context: &egui::Context, shown: &mut Shown) {
+    egui::Area::new("status".into())
+        .anchor(egui::Align2::LEFT_BOTTOM, [8.0, -8.0])
+        .show(context, |ui| {
+            egui::Frame::popup(ui.style()).show(ui, |ui| {
+                ui.set_max_width(0.6 * context.viewport_rect().width());
+                work(ui, shown);
+                message(ui, shown);
+                state(ui, shown);
+            });
+        });
+}
+
+fn bar(ui: &mut egui::Ui, part: Option<f32>) {
+    match part {
+        Some(part) => {
+            ui.add(
+                egui::ProgressBar::new(part)
+                    .desired_width(160.0)
+                    .show_percentage(),
+            );
+        }
+        None => {
+            ui.spinner();
+        }
+    }
+}
+
+/// What takes a while.
+fn work(ui: &mut egui::Ui, shown: &mut Shown) {
+    if let Some((name, part)) = shown.opening.progress() {
+        ui.horizontal(|ui| {
+            ui.label(format!("opening {name}"));
+            bar(ui, part);
+        });
+    }
+    if let Some(part) = shown.pictures.progress() {
+        ui.horizontal(|ui| {
+            ui.label("taking pictures");
+            bar(ui, Some(part));
+            if ui.button("Stop").clicked() {
+                shown.pictures.cancel();
+            }
+        });
+    }
+}
+
+/// What became of the last wish; failures stay until they are read.
+fn message(ui: &mut egui::Ui, shown: &mut Shown) {
+    let numbers = shown.statistics.get();
+    for error in &numbers.errors {
+        ui.colored_label(ui.visuals().error_fg_color, error);
+    }
+    let mut is_read = false;
+    match &shown.session.status {
+        Some(Status::Failed(text)) => {
+            ui.horizontal_wrapped(|ui| {
+                ui.colored_label(ui.visuals().error_fg_color, text);
+                is_read = ui.button("OK").clicked();
+            });
+        }
+        Some(Status::Done(text)) => {
+            ui.horizontal_wrapped(|ui| {
+                ui.label(text);
+                is_read = ui.small_button("×").clicked();
+            });
+        }
+        None => {}
+    }
+    if is_read {
+        shown.session.status = None;
+    }
+}
+
+/// What is shown, how fine it is, and what the cursor points at.
+fn state(ui: &mut egui::Ui, shown: &Shown) {
+    let numbers = shown.statistics.get();
+    let Some(scan) = &shown.studio.scan else {
+        if !shown.opening.is_busy() {
+            ui.label("nothing is open: drop a scan here, or type its path into the panel");
+        }
+        return;
+    };
+    if numbers.is_waiting {
+        ui.horizontal(|ui| {
+            ui.spinner();
+            ui.label("sending the scan to the graphics device and compiling; once per start");
+        });
+        return;
+    }
+    let done = numbers.samples_per_pixel;
+    ui.horizontal(|ui| {
+        ui.label(format!(
+            "{}   {done} / {RESTING_SAMPLES} samples",
+            shown.session.name
+        ));
+        if let Some(hit) = shown.pointer.hit {
+            let [x, y, z] = (hit.at - scan.middle()).to_array().map(|m| {
+                let sign = if m < 0.0 { "−" } else { "" };
+                format!("{sign}{}", length_text(m.abs()))
+            });
+            ui.separator();
+            ui.strong(Short(hit.value).to_string());
+            ui.label(format!("at {x}, {y}, {z}"));
+        }
+    });
+}
+
+/// A value with as many digits as are worth reading.
+struct Short(f64);
+
+impl std::fmt::Display for Short {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        let size = self.0.abs();
+        if size >= 1e6 || (size < 1e-3 && size > 0.0) {
+            write!(f, "{:.3e}", self.0)
+        } else if size >= 100.0 {
+            write!(f, "{:.1}", self.0)
+        } else {
+            write!(f, "{:.3}", self.0)
+        }
+    }
+}
