@@ -47,6 +47,7 @@
 
 pub mod clip_plane;
 pub mod environment;
+pub mod interaction;
 pub mod render;
 pub mod scene;
 pub mod transfer_function;
@@ -59,6 +60,7 @@ pub use environment::{
     EnvironmentAsset, EnvironmentSource, VolumeEnvironment, VolumeEnvironmentPlugin,
 };
 pub use holovol_render::{Counters, MAX_VIEWS};
+pub use interaction::{Graspable, InteractionPlugin};
 pub use render::{
     VolumeRenderMode, VolumeRenderPlugin, VolumeRenderSettings, VolumeRenderSystems,
     VolumeStatistics,
@@ -72,8 +74,8 @@ pub use volume::{
 /// All that most apps use.
 pub mod prelude {
     pub use crate::{
-        EnvironmentAsset, EnvironmentSource, HolovolPlugins, TransferFunctionAsset, Volume3d,
-        VolumeAsset, VolumeClipPlane, VolumeEnvironment, VolumeFiles, VolumeMaterial3d,
+        EnvironmentAsset, EnvironmentSource, Graspable, HolovolPlugins, TransferFunctionAsset,
+        Volume3d, VolumeAsset, VolumeClipPlane, VolumeEnvironment, VolumeFiles, VolumeMaterial3d,
         VolumeMedium, VolumeRenderMode, VolumeRenderSettings,
     };
 }
