@@ -52,12 +52,14 @@ pub mod render;
 pub mod scene;
 pub mod transfer_function;
 pub mod volume;
+#[cfg(feature = "xr")]
+pub mod xr;
 
 use bevy::app::{PluginGroup, PluginGroupBuilder};
 
 pub use clip_plane::VolumeClipPlane;
 pub use environment::{
-    EnvironmentAsset, EnvironmentSource, VolumeEnvironment, VolumeEnvironmentPlugin,
+    EnvironmentAsset, EnvironmentSource, VolumeEnvironment, VolumeEnvironmentPlugin, WithoutSky,
 };
 pub use holovol_render::{Counters, MAX_VIEWS};
 pub use interaction::{Graspable, InteractionPlugin};
