@@ -22,6 +22,8 @@ mod preview;
 mod progress;
 mod render;
 mod thumbnail;
+#[cfg(feature = "xr")]
+mod xr;
 
 pub use failure::{Exit, Failure};
 
@@ -60,6 +62,8 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
         Command::Calibrate(args) => light::stitch::calibrate(&args),
         #[cfg(feature = "preview")]
         Command::Preview(args) => preview::run(&args),
+        #[cfg(feature = "xr")]
+        Command::Xr(args) => xr::run(&args),
         Command::Bench(command) => bench::run(&command),
         Command::Completions { shell } => {
             let mut script = Vec::new();

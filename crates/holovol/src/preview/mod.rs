@@ -8,12 +8,13 @@ mod quality;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use bevy::app::PluginGroupBuilder;
 use bevy::core_pipeline::tonemapping::Tonemapping;
 use bevy::log::LogPlugin;
 use bevy::prelude::*;
 use bevy::window::{PresentMode, RequestRedraw, WindowResolution};
 use bevy::winit::{UpdateMode, WinitSettings};
-use bevy_egui::EguiPlugin;
+use bevy_egui::{EguiGlobalSettings, EguiPlugin, PrimaryEguiContext};
 use bevy_holovol::prelude::*;
 
 use crate::cli::PreviewArgs;
@@ -50,14 +51,34 @@ pub(crate) fn run(args: &PreviewArgs) -> Result<(), Failure> {
              pictures without one",
         ));
     }
-    for file in &args.files {
+    check_files(&args.files)?;
+    // Bevy ends the process if there is no adapter: that is found out before, and said kindly.
+    holovol_render::Gpu::new(None)?;
+    match app(args, |plugins| plugins).run() {
+        AppExit::Success => Ok(()),
+        AppExit::Error(_) => Err(Failure::new(
+            Exit::Device,
+            "the window closed after an error of the graphics device; what it said is above",
+        )),
+    }
+}
+
+/// Refuses files that aren't there before anything is opened.
+pub(crate) fn check_files(files: &[PathBuf]) -> Result<(), Failure> {
+    for file in files {
         if !file.exists() {
             let message = format!("{}: there is no such file or folder", file.display());
             return Err(Failure::new(Exit::Input, message));
         }
     }
-    // Bevy ends the process if there is no adapter: that is found out before, and said kindly.
-    holovol_render::Gpu::new(None)?;
+    Ok(())
+}
+
+/// The window's app. `adapt` may put Bevy's plugins on another graphics device.
+pub(crate) fn app(
+    args: &PreviewArgs,
+    adapt: impl FnOnce(PluginGroupBuilder) -> PluginGroupBuilder,
+) -> App {
     let [width, height] = args.size;
     let window = Window {
         title: "holovol".into(),
@@ -67,47 +88,69 @@ pub(crate) fn run(args: &PreviewArgs) -> Result<(), Failure> {
         ..default()
     };
     let mut app = App::new();
-    app.add_plugins((
-        DefaultPlugins
-            .set(WindowPlugin {
-                primary_window: Some(window),
-                ..default()
-            })
-            .set(LogPlugin {
-                filter: "warn,bevy_render::renderer=error".into(),
-                ..default()
-            }),
-        EguiPlugin::default(),
-        HolovolPlugins,
-    ))
-    .insert_resource(ClearColor(Color::srgb(0.02, 0.02, 0.025)))
-    .insert_resource(WinitSettings {
-        focused_mode: UpdateMode::reactive(Duration::from_secs(1)),
-        unfocused_mode: UpdateMode::reactive_low_power(Duration::from_secs(1)),
-    })
-    .insert_resource(FirstFiles(args.files.clone()))
-    .insert_resource(FrameLimit(args.frames))
-    .add_plugins((
-        camera::CameraPlugin,
-        open::OpenPlugin,
-        panel::PanelPlugin,
-        quality::QualityPlugin,
-    ))
-    .add_systems(Startup, setup)
-    .add_systems(Last, (title, keep_drawing, end_after_frames));
-    match app.run() {
-        AppExit::Success => Ok(()),
-        AppExit::Error(_) => Err(Failure::new(
-            Exit::Device,
-            "the window closed after an error of the graphics device; what it said is above",
-        )),
-    }
+    let plugins = DefaultPlugins
+        .set(WindowPlugin {
+            primary_window: Some(window),
+            ..default()
+        })
+        .set(LogPlugin {
+            filter: "warn,bevy_render::renderer=error".into(),
+            ..default()
+        });
+    app.add_plugins((adapt(plugins), EguiPlugin::default(), HolovolPlugins))
+        .insert_resource(ClearColor(Color::srgb(0.02, 0.02, 0.025)))
+        .insert_resource(WinitSettings {
+            focused_mode: UpdateMode::reactive(Duration::from_secs(1)),
+            unfocused_mode: UpdateMode::reactive_low_power(Duration::from_secs(1)),
+        })
+        .insert_resource(FirstFiles(args.files.clone()))
+        .insert_resource(FrameLimit(args.frames))
+        // Else it is the first camera that is found, which may be a headset's.
+        .insert_resource(EguiGlobalSettings {
+            auto_create_primary_context: false,
+            ..default()
+        })
+        .add_plugins((
+            camera::CameraPlugin,
+            open::OpenPlugin,
+            panel::PanelPlugin,
+            quality::QualityPlugin,
+        ))
+        .add_systems(Startup, setup)
+        .add_systems(Last, (title, keep_drawing, end_after_frames));
+    app
 }
 
 /// Whether windows can be opened; elsewhere than on Unix they always can.
-fn has_display() -> bool {
+pub(crate) fn has_display() -> bool {
     let is_set = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
     !cfg!(all(unix, not(target_os = "macos"))) || is_set("DISPLAY") || is_set("WAYLAND_DISPLAY")
+}
+
+/// A volume of these files, or of the phantom, for an app without a window.
+#[cfg(feature = "xr")]
+pub(crate) fn add_volume_of_files(app: &mut App, files: &[PathBuf]) {
+    let volume = app.world_mut().spawn(Volume3d::default()).id();
+    app.insert_resource(Session {
+        volume,
+        camera: Entity::PLACEHOLDER,
+        name: String::new(),
+        status: None,
+        frames_left: None,
+    })
+    .insert_resource(FirstFiles(files.to_vec()))
+    .add_plugins(open::OpenPlugin)
+    .add_systems(Update, tell_failures);
+}
+
+/// Where there is no panel.
+#[cfg(feature = "xr")]
+fn tell_failures(mut session: ResMut<Session>) {
+    match session.bypass_change_detection().status.take() {
+        Some(Status::Failed(message)) => error!("{message}"),
+        Some(Status::Done(message)) => info!("{message}"),
+        None => {}
+    }
 }
 
 #[derive(Resource)]
@@ -124,6 +167,7 @@ fn setup(mut commands: Commands, limit: Res<FrameLimit>) {
                 ..default()
             },
             camera::Orbit::default(),
+            PrimaryEguiContext,
         ))
         .id();
     commands.insert_resource(Session {

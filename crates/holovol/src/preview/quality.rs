@@ -4,6 +4,8 @@ use bevy::prelude::*;
 use bevy::time::Real;
 use bevy_holovol::prelude::*;
 
+use super::camera::Orbit;
+
 /// Samples per pixel at which a resting view is done.
 pub(crate) const RESTING_SAMPLES: u32 = 2048;
 
@@ -98,7 +100,8 @@ fn adapt(
     time: Res<Time<Real>>,
     environment: Res<VolumeEnvironment>,
     volumes: Query<Shown>,
-    mut cameras: Query<(Ref<Transform>, &mut VolumeRenderSettings)>,
+    // Not the eyes of a headset.
+    mut cameras: Query<(Ref<Transform>, &mut VolumeRenderSettings), With<Orbit>>,
     mut transfer_functions: MessageReader<AssetEvent<TransferFunctionAsset>>,
     planes: Query<(), (With<VolumeClipPlane>, Changed<GlobalTransform>)>,
 ) {
