@@ -8,7 +8,6 @@
 mod vulkan;
 
 use bevy::render::render_resource::TextureFormat;
-use bevy_mod_openxr::types::WgpuGraphics;
 use holovol_render::wgpu;
 use openxr::{
     AnyGraphics, CompositionLayerFlags, CompositionLayerProjection, CompositionLayerProjectionView,
@@ -28,6 +27,14 @@ const FORMATS: [TextureFormat; 3] = [
     TextureFormat::Rgba16Float,
 ];
 
+/// The device that the runtime wants, and where it comes from.
+pub(crate) struct DeviceParts {
+    pub(crate) instance: wgpu::Instance,
+    pub(crate) adapter: wgpu::Adapter,
+    pub(crate) device: wgpu::Device,
+    pub(crate) queue: wgpu::Queue,
+}
+
 /// The device in use, as the runtime knows it.
 #[derive(Clone)]
 pub(crate) enum GraphicsApi {
@@ -36,7 +43,7 @@ pub(crate) enum GraphicsApi {
 
 impl GraphicsApi {
     /// Opens the device that the runtime wants.
-    pub(crate) fn open_device(runtime: &Runtime) -> Result<(Self, WgpuGraphics), HeadsetError> {
+    pub(crate) fn open_device(runtime: &Runtime) -> Result<(Self, DeviceParts), HeadsetError> {
         let (handles, parts) = vulkan::open_device(runtime)?;
         Ok((Self::Vulkan(handles), parts))
     }

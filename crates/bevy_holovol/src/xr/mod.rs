@@ -52,6 +52,7 @@ mod frame;
 mod graphics;
 mod input;
 mod output;
+mod pace;
 mod pose;
 mod runtime;
 mod session;
@@ -76,7 +77,6 @@ use bevy::render::view::prepare_view_targets;
 use bevy::render::{
     ExtractSchedule, GpuResourceAppExt, Render, RenderApp, RenderPlugin, RenderSystems,
 };
-use bevy_mod_openxr::types::WgpuGraphics;
 use openxr::EnvironmentBlendMode;
 
 pub use capture::{CapturedFrame, EyeCapture};
@@ -90,7 +90,7 @@ pub use pose::{RawView, TamperedViews};
 pub use simulate::{SimulatedHeadset, SimulationError};
 
 use crate::{InteractionPlugin, VolumeRenderSettings};
-use graphics::GraphicsApi;
+use graphics::{DeviceParts, GraphicsApi};
 use runtime::Runtime;
 use session::{Connection, CurrentFrame, Link};
 
@@ -99,7 +99,7 @@ pub struct Headset {
     app_name: String,
     runtime: Runtime,
     api: GraphicsApi,
-    parts: WgpuGraphics,
+    parts: DeviceParts,
     eye_size: [u32; 2],
 }
 
@@ -137,7 +137,13 @@ impl Headset {
     /// `DefaultPlugins`, or the like, on this headset's graphics device, and
     /// [`MixedRealityPlugin`]. Frames aren't pipelined: that would add one to the latency.
     pub fn plugins(self, plugins: impl PluginGroup) -> PluginGroupBuilder {
-        let WgpuGraphics(device, queue, info, adapter, instance) = self.parts;
+        let DeviceParts {
+            instance,
+            adapter,
+            device,
+            queue,
+        } = self.parts;
+        let info = adapter.get_info();
         let plugins = plugins.build().set(RenderPlugin {
             render_creation: RenderCreation::manual(
                 RenderDevice::from(device),
@@ -192,6 +198,10 @@ pub struct MixedRealitySettings {
     /// Pixels of the eyes' images per pixel of the headset's along each axis, 0.1 to 2; 1 by
     /// default.
     pub resolution_scale: f32,
+    /// Bounds within which [`VolumeRenderSettings::resolution_scale`] of the eyes follows the
+    /// headset's pace: less when frames come late, more when they have long been in time. `None`
+    /// leaves it alone. 0.4 to 1 by default.
+    pub volume_resolution: Option<[f32; 2]>,
     /// Draws as for such a headset, though the session is what it is: for previews and tests. Asked
     /// when a session opens.
     pub simulated_blend: Option<HeadsetBlend>,
@@ -217,6 +227,7 @@ impl Default for MixedRealitySettings {
             tonemapping: Tonemapping::KhronosPbrNeutral,
             eye_format: TextureFormat::Rgba8UnormSrgb,
             resolution_scale: 1.0,
+            volume_resolution: Some([0.4, 1.0]),
             simulated_blend: None,
             tampered_views: None,
             exits_app: true,
@@ -364,7 +375,7 @@ impl Plugin for MixedRealityPlugin {
                 ExtractComponentPlugin::<output::RoomOutput>::default(),
             ))
             .add_systems(PreStartup, eyes::spawn)
-            .add_systems(First, (session::update, eyes::update).chain());
+            .add_systems(First, (session::update, eyes::update, pace::keep).chain());
         let Some(render_app) = app.get_sub_app_mut(RenderApp) else {
             return;
         };

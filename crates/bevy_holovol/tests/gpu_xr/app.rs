@@ -59,6 +59,8 @@ pub fn settings() -> MixedRealitySettings {
             mode: VolumeRenderMode::Fresh,
             ..default()
         },
+        // Software is too slow for any pace.
+        volume_resolution: None,
         exits_app: false,
         ..default()
     }

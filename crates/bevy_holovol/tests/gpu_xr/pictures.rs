@@ -211,8 +211,8 @@ fn eyes_see_a_point_where_it_projects_to() {
     let point = Vec3::new(-0.1, 1.5, -0.8);
     spawn_volume(
         &mut app,
-        solid(Vec3::splat(0.03)),
-        function(2e3, [0.8; 3]),
+        solid(Vec3::splat(0.02)),
+        function(3e3, [0.8; 3]),
         Transform::from_translation(point),
     );
     show(&mut app);

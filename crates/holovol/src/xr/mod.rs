@@ -98,6 +98,8 @@ fn join(app: &mut App, args: &XrArgs) {
             XrBlend::Opaque => HeadsetBlend::Opaque,
         }),
         resolution_scale: args.resolution,
+        // Pictures may take their time.
+        volume_resolution: args.picture_prefix().is_none().then_some([0.4, 1.0]),
         ..default()
     })
     .insert_resource(Ending(args.frames))
