@@ -154,7 +154,7 @@ pub struct XrArgs {
     /// Samples per pixel and frame
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub samples: u32,
-    /// Pixels drawn per pixel of the headset along each axis, 0.1 to 2
+    /// Pixels drawn per pixel that the runtime recommends, along each axis, 0.1 to 8
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub resolution: f32,
     /// Draw as for a headset that shows the room in this way, whatever it does

@@ -149,7 +149,7 @@ fn target(eyes: &EyeImages, index: usize) -> RenderTarget {
 
 impl EyeImages {
     fn new(images: &mut Assets<Image>, settings: &MixedRealitySettings, full: UVec2) -> Self {
-        let size = settings.image_size(full);
+        let size = full.max(UVec2::ONE);
         let format = settings.eye_format;
         let image = || {
             let mut image = Image::new_target_texture(size.x, size.y, format, None);
@@ -191,7 +191,7 @@ pub(crate) fn update(
     cost: Res<FrameCost>,
 ) {
     let _counting = cost.count();
-    let size = settings.image_size(status.eye_size);
+    let size = status.eye_size.max(UVec2::ONE);
     let is_new = eyes.size != size || eyes.format != settings.eye_format;
     if is_new {
         *eyes = EyeImages::new(&mut images, &settings, status.eye_size);

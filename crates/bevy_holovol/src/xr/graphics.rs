@@ -53,11 +53,12 @@ impl GraphicsApi {
         &self,
         runtime: &Runtime,
         device: &wgpu::Device,
+        size: [u32; 2],
     ) -> Result<OpenSession, HeadsetError> {
         match self {
             Self::Vulkan(handles) => {
                 let (session, waiter, stream) = handles.create_session(runtime, device)?;
-                OpenSession::new(runtime, session, waiter, stream, device)
+                OpenSession::new(session, waiter, stream, device, size)
             }
         }
     }
@@ -89,16 +90,15 @@ pub(crate) struct OpenSession {
 
 impl OpenSession {
     fn new<G: Api>(
-        runtime: &Runtime,
         session: Session<G>,
         waiter: FrameWaiter,
         stream: FrameStream<G>,
         device: &wgpu::Device,
+        size: [u32; 2],
     ) -> Result<Self, HeadsetError>
     where
         G::Format: PartialEq + std::fmt::Debug,
     {
-        let size = runtime.eye_size()?;
         let offered = session
             .enumerate_swapchain_formats()
             .map_err(HeadsetError::of("xrEnumerateSwapchainFormats"))?;

@@ -113,7 +113,7 @@ impl Headset {
         // Longer names make openxr panic; NUL ends them.
         let app_name: String = app_name.chars().filter(|c| *c != '\0').take(30).collect();
         let runtime = Runtime::find(&app_name)?;
-        let eye_size = runtime.eye_size()?;
+        let eye_size = runtime.eye_size(1.0)?;
         let (api, parts) = GraphicsApi::open_device(&runtime)?;
         Ok(Self {
             app_name,
@@ -130,8 +130,8 @@ impl Headset {
     }
 
     /// What the runtime calls the headset.
-    pub fn name(&self) -> &str {
-        &self.runtime.headset
+    pub fn system_name(&self) -> &str {
+        &self.runtime.system_name
     }
 
     /// `DefaultPlugins`, or the like, on this headset's graphics device, and
@@ -195,8 +195,8 @@ pub struct MixedRealitySettings {
     pub tonemapping: Tonemapping,
     /// Of the images that the eyes draw into; by default `Rgba8UnormSrgb`.
     pub eye_format: TextureFormat,
-    /// Pixels of the eyes' images per pixel of the headset's along each axis, 0.1 to 2; 1 by
-    /// default.
+    /// Pixels of the eyes' images per pixel that the runtime recommends, along each axis, 0.1 to 8
+    /// and as far as the runtime allows; asked when a session opens. 1 by default.
     pub resolution_scale: f32,
     /// Bounds within which [`VolumeRenderSettings::resolution_scale`] of the eyes follows the
     /// headset's pace: less when frames come late, more when they have long been in time. `None`
@@ -236,13 +236,12 @@ impl Default for MixedRealitySettings {
 }
 
 impl MixedRealitySettings {
-    fn image_size(&self, full: UVec2) -> UVec2 {
-        let scale = if self.resolution_scale.is_finite() {
-            self.resolution_scale.clamp(0.1, 2.0)
+    fn resolution_factor(&self) -> f32 {
+        if self.resolution_scale.is_finite() {
+            self.resolution_scale.clamp(0.1, 8.0)
         } else {
             1.0
-        };
-        (full.as_vec2() * scale).round().as_uvec2().max(UVec2::ONE)
+        }
     }
 }
 

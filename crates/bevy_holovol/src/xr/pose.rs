@@ -200,7 +200,7 @@ mod tests {
             down: 0.0,
         };
         assert_eq!(eye.update(&raw([0.0; 4], [0.0; 3], FOV)), None);
-        assert_eq!(eye.update(&raw(AHEAD, [f32::NAN; 3], flat)).is_some(), true);
+        assert!(eye.update(&raw(AHEAD, [f32::NAN; 3], flat)).is_some());
         // The position of the first one was usable, and so is its field of view.
         let first = eye.view().expect("all known");
         assert_eq!(first.fov, FOV);

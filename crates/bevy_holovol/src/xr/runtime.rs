@@ -17,7 +17,7 @@ pub(crate) struct Runtime {
     /// Name and version.
     pub(crate) name: String,
     /// What the runtime calls the headset.
-    pub(crate) headset: String,
+    pub(crate) system_name: String,
     pub(crate) has_hand_tracking: bool,
 }
 
@@ -70,7 +70,7 @@ impl Runtime {
                 },
                 _ => HeadsetError::of("xrGetSystem")(result),
             })?;
-        let headset = instance
+        let system_name = instance
             .system_properties(system)
             .map_err(HeadsetError::of("xrGetSystemProperties"))?
             .system_name;
@@ -80,13 +80,14 @@ impl Runtime {
             instance,
             system,
             name,
-            headset,
+            system_name,
             has_hand_tracking,
         })
     }
 
-    /// Pixels of an eye's image that the runtime recommends.
-    pub(crate) fn eye_size(&self) -> Result<[u32; 2], HeadsetError> {
+    /// Pixels of an eye's image: as the runtime recommends, times a factor along each axis, as far as
+    /// it allows.
+    pub(crate) fn eye_size(&self, factor: f32) -> Result<[u32; 2], HeadsetError> {
         let views = self
             .instance
             .enumerate_view_configuration_views(self.system, STEREO)
@@ -94,13 +95,19 @@ impl Runtime {
         let [left, right] = views[..] else {
             return Err(HeadsetError::NotStereo);
         };
+        let size = |recommended: [u32; 2], most: [u32; 2]| {
+            let wanted = (recommended[0].max(recommended[1]) as f32 * factor).round() as u32;
+            wanted.clamp(1, most[0].min(most[1]).max(1))
+        };
         Ok([
-            left.recommended_image_rect_width
-                .max(right.recommended_image_rect_width)
-                .clamp(1, left.max_image_rect_width.max(1)),
-            left.recommended_image_rect_height
-                .max(right.recommended_image_rect_height)
-                .clamp(1, left.max_image_rect_height.max(1)),
+            size(
+                [left, right].map(|view| view.recommended_image_rect_width),
+                [left, right].map(|view| view.max_image_rect_width),
+            ),
+            size(
+                [left, right].map(|view| view.recommended_image_rect_height),
+                [left, right].map(|view| view.max_image_rect_height),
+            ),
         ])
     }
 

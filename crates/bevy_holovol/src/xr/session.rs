@@ -143,7 +143,7 @@ pub(crate) enum Link {
     /// There is no runtime, or it refused; the next look is at that time.
     Gone(Instant),
     Looking(Task<Result<Runtime, HeadsetError>>),
-    Found(Runtime, Option<Live>),
+    Found(Runtime, Option<Box<Live>>),
 }
 
 pub(crate) struct Live {
@@ -182,7 +182,7 @@ impl Connection {
         };
         if live.is_none() && !self.has_ended {
             match open(runtime, &self.api, device, settings, status) {
-                Ok(opened) => *live = Some(opened),
+                Ok(opened) => *live = Some(Box::new(opened)),
                 Err(error) => {
                     self.lose(error, status);
                     return CurrentFrame::default();
@@ -276,7 +276,8 @@ fn open(
     settings: &MixedRealitySettings,
     status: &mut HeadsetStatus,
 ) -> Result<Live, HeadsetError> {
-    let opened = api.open_session(runtime, device.wgpu_device())?;
+    let size = runtime.eye_size(settings.resolution_factor())?;
+    let opened = api.open_session(runtime, device.wgpu_device(), size)?;
     let offered = runtime.blend_modes()?;
     let (blend, blend_mode) = HeadsetBlend::choose(&settings.blend_preference, &offered)
         .ok_or(HeadsetError::NoBlendMode)?;
@@ -297,14 +298,14 @@ fn open(
     let input = super::input::Input::new(runtime, session);
     status.state = HeadsetState::Idle;
     status.runtime.clone_from(&runtime.name);
-    status.headset.clone_from(&runtime.headset);
+    status.headset.clone_from(&runtime.system_name);
     status.blend = blend;
     status.eye_size = UVec2::from(opened.size);
     status.sessions += 1;
     status.problem = None;
     info!(
         "{} on {}: {} × {} pixels per eye, {blend:?}, {:?}",
-        runtime.headset, runtime.name, opened.size[0], opened.size[1], opened.format
+        runtime.system_name, runtime.name, opened.size[0], opened.size[1], opened.format
     );
     Ok(Live {
         waiter: opened.waiter,
@@ -459,6 +460,10 @@ impl End {
 }
 
 /// `First`: everything between two frames, and the wait for the next.
+#[expect(
+    clippy::too_many_arguments,
+    reason = "all that a session has to do with"
+)]
 pub(crate) fn update(
     mut connection: ResMut<Connection>,
     device: Res<RenderDevice>,

@@ -46,7 +46,7 @@ pub(crate) fn run(args: &XrArgs) -> Result<(), Failure> {
             return Err(Failure::new(Exit::NoHeadset, message));
         }
     };
-    eprintln!("{} on {}", headset.name(), headset.runtime());
+    eprintln!("{} on {}", headset.system_name(), headset.runtime());
     let has_window = preview::has_display() && args.out.is_none() && !args.no_window;
     let exit = if has_window {
         let mut app = preview::app(&args.preview(), |plugins| headset.plugins(plugins));
