@@ -127,32 +127,6 @@ pub(crate) fn has_display() -> bool {
     !cfg!(all(unix, not(target_os = "macos"))) || is_set("DISPLAY") || is_set("WAYLAND_DISPLAY")
 }
 
-/// A volume of these files, or of the phantom, for an app without a window.
-#[cfg(feature = "xr")]
-pub(crate) fn add_volume_of_files(app: &mut App, files: &[PathBuf]) {
-    let volume = app.world_mut().spawn(Volume3d::default()).id();
-    app.insert_resource(Session {
-        volume,
-        camera: Entity::PLACEHOLDER,
-        name: String::new(),
-        status: None,
-        frames_left: None,
-    })
-    .insert_resource(FirstFiles(files.to_vec()))
-    .add_plugins(open::OpenPlugin)
-    .add_systems(Update, tell_failures);
-}
-
-/// Where there is no panel.
-#[cfg(feature = "xr")]
-fn tell_failures(mut session: ResMut<Session>) {
-    match session.bypass_change_detection().status.take() {
-        Some(Status::Failed(message)) => error!("{message}"),
-        Some(Status::Done(message)) => info!("{message}"),
-        None => {}
-    }
-}
-
 #[derive(Resource)]
 struct FrameLimit(Option<u32>);
 

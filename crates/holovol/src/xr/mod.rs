@@ -3,6 +3,7 @@
 //! Where there is a display, the preview's window stays beside the headset: same volume, same panel,
 //! a view of its own. Without one the headset is all there is.
 
+mod contents;
 mod picture;
 mod place;
 
@@ -60,7 +61,8 @@ pub(crate) fn run(args: &XrArgs) -> Result<(), Failure> {
             })
             .run()
     } else {
-        let mut app = without_window(args, |plugins| headset.plugins(plugins));
+        let contents = contents::Contents::read(&args.files)?;
+        let mut app = without_window(contents, |plugins| headset.plugins(plugins));
         join(&mut app, args);
         app.run()
     };
@@ -122,7 +124,7 @@ impl XrArgs {
 }
 
 fn without_window(
-    args: &XrArgs,
+    contents: contents::Contents,
     on_headset: impl FnOnce(PluginGroupBuilder) -> PluginGroupBuilder,
 ) -> App {
     let plugins = DefaultPlugins
@@ -144,7 +146,8 @@ fn without_window(
         ScheduleRunnerPlugin::run_loop(Duration::ZERO),
         HolovolPlugins,
     ));
-    preview::add_volume_of_files(&mut app, &args.files);
+    app.insert_resource(contents)
+        .add_systems(Startup, contents::spawn);
     app
 }
 
