@@ -69,6 +69,9 @@ pub(crate) fn run(args: &XrArgs) -> Result<(), Failure> {
     drop(simulation);
     match exit {
         AppExit::Success => Ok(()),
+        AppExit::Error(code) if i32::from(code.get()) == Exit::Interrupted as i32 => {
+            Err(Failure::new(Exit::Interrupted, "stopped"))
+        }
         AppExit::Error(_) => Err(Failure::new(
             Exit::Device,
             "the headset went dark after an error of the graphics device; what it said is above",
