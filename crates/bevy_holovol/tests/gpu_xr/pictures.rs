@@ -1,9 +1,11 @@
 //! What the headset is given: against renderings of the same views outside any frame.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use bevy::prelude::*;
-use bevy_holovol::xr::{CapturedFrame, EyeView, HeadsetBlend, MixedRealitySettings};
+use bevy_holovol::xr::{
+    CapturedFrame, EyeView, HeadsetBlend, MixedRealitySettings, RawView, TamperedViews,
+};
 use glam::{DMat4, DVec3, DVec4};
 use holovol_light::EnvironmentMap;
 use holovol_render::{
@@ -18,6 +20,10 @@ pub const TESTS: &[crate::Test] = &[
     (
         "each_eye_gets_what_its_view_renders_offline",
         each_eye_gets_what_its_view_renders,
+    ),
+    (
+        "what_is_drawn_is_what_was_located_last",
+        what_is_drawn_is_what_was_located_last,
     ),
     (
         "eyes_see_a_point_where_it_projects_to",
@@ -167,31 +173,67 @@ fn greatest_z(found: &[[f64; 4]], expected: &[[f64; 4]], most: [f64; 4]) -> f64 
 fn each_eye_gets_what_its_view_renders() {
     let (mut app, volume, matter, place) = scene(settings());
     show(&mut app);
-    let [r, g, b] = ALBEDO;
     for _ in 0..2 {
         let frame = capture(&mut app);
-        let width = frame.size[0] as usize;
-        assert_eq!(frame.pixels[0].len(), 4 * width * frame.size[1] as usize);
-        let expected = offline(&frame, &volume, &matter, place).map(|eye| blocks(&eye, width));
-        let found = [0, 1].map(|eye| {
-            // The opaque eye's opacity says nothing.
-            let picture = linear(&frame, eye)
-                .into_iter()
-                .map(|[r, g, b, _]| [r, g, b, 0.0]);
-            blocks(&picture.collect::<Vec<_>>(), width)
-        });
-        let expected = expected.map(|eye| {
-            let no_opacity = |[r, g, b, _]: [f64; 4]| [r, g, b, 0.0];
-            eye.into_iter().map(no_opacity).collect::<Vec<_>>()
-        });
-        let most = [r, g, b, 0.0];
-        for eye in 0..2 {
-            let z = greatest_z(&found[eye], &expected[eye], most);
-            let z_of_other = greatest_z(&found[eye], &expected[1 - eye], most);
-            eprintln!("eye {eye}: z up to {z:.2}; against the other eye's view {z_of_other:.1}");
-            assert!(z < 3.0, "{z}");
-            assert!(z_of_other > 20.0, "the eyes see alike: {z_of_other}");
+        assert_drawn_as_submitted(&frame, &volume, &matter, place);
+    }
+}
+
+/// The first answer for a display time, which the main world gets, is elsewhere and narrower.
+fn move_first_answer(time: i64, view: &mut RawView) {
+    static LAST: Mutex<(i64, u32)> = Mutex::new((0, 0));
+    let mut last = LAST.lock().expect("no panic");
+    if last.0 != time {
+        *last = (time, 0);
+    }
+    last.1 += 1;
+    // Both eyes.
+    if last.1 <= 2 {
+        if let Some(position) = &mut view.position {
+            position[0] += 0.1;
         }
+        view.fov.left *= 0.9;
+    }
+}
+
+fn what_is_drawn_is_what_was_located_last() {
+    let (mut app, volume, matter, place) = scene(MixedRealitySettings {
+        tampered_views: Some(TamperedViews(move_first_answer)),
+        ..settings()
+    });
+    show(&mut app);
+    let frame = capture(&mut app);
+    let [left, right] = frame.views.map(|view| view.fov);
+    assert!((left.left + right.right).abs() < 1e-3, "{left:?} {right:?}");
+    assert_drawn_as_submitted(&frame, &volume, &matter, place);
+}
+
+fn assert_drawn_as_submitted(
+    frame: &CapturedFrame,
+    volume: &Volume,
+    matter: &TransferFunction,
+    place: Transform,
+) {
+    let width = frame.size[0] as usize;
+    assert_eq!(frame.pixels[0].len(), 4 * width * frame.size[1] as usize);
+    // The opaque eye's opacity says nothing.
+    let no_opacity = |[r, g, b, _]: [f32; 4]| [r, g, b, 0.0];
+    let seen = |picture: Vec<[f32; 4]>| {
+        blocks(
+            &picture.into_iter().map(no_opacity).collect::<Vec<_>>(),
+            width,
+        )
+    };
+    let expected = offline(frame, volume, matter, place).map(seen);
+    let found = [0, 1].map(|eye| seen(linear(frame, eye)));
+    let [r, g, b] = ALBEDO;
+    let most = [r, g, b, 0.0];
+    for eye in 0..2 {
+        let z = greatest_z(&found[eye], &expected[eye], most);
+        let z_of_other = greatest_z(&found[eye], &expected[1 - eye], most);
+        eprintln!("eye {eye}: z up to {z:.2}; against the other eye's view {z_of_other:.1}");
+        assert!(z < 3.0, "{z}");
+        assert!(z_of_other > 20.0, "the eyes see alike: {z_of_other}");
     }
 }
 
