@@ -47,18 +47,22 @@
 
 pub mod clip_plane;
 pub mod environment;
+pub mod interaction;
 pub mod render;
 pub mod scene;
 pub mod transfer_function;
 pub mod volume;
+#[cfg(feature = "xr")]
+pub mod xr;
 
 use bevy::app::{PluginGroup, PluginGroupBuilder};
 
 pub use clip_plane::VolumeClipPlane;
 pub use environment::{
-    EnvironmentAsset, EnvironmentSource, VolumeEnvironment, VolumeEnvironmentPlugin,
+    EnvironmentAsset, EnvironmentSource, VolumeEnvironment, VolumeEnvironmentPlugin, WithoutSky,
 };
 pub use holovol_render::{Counters, MAX_VIEWS};
+pub use interaction::{Graspable, InteractionPlugin};
 pub use render::{
     VolumeRenderMode, VolumeRenderPlugin, VolumeRenderSettings, VolumeRenderSystems,
     VolumeStatistics,
@@ -72,8 +76,8 @@ pub use volume::{
 /// All that most apps use.
 pub mod prelude {
     pub use crate::{
-        EnvironmentAsset, EnvironmentSource, HolovolPlugins, TransferFunctionAsset, Volume3d,
-        VolumeAsset, VolumeClipPlane, VolumeEnvironment, VolumeFiles, VolumeMaterial3d,
+        EnvironmentAsset, EnvironmentSource, Graspable, HolovolPlugins, TransferFunctionAsset,
+        Volume3d, VolumeAsset, VolumeClipPlane, VolumeEnvironment, VolumeFiles, VolumeMaterial3d,
         VolumeMedium, VolumeRenderMode, VolumeRenderSettings,
     };
 }

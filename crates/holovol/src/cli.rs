@@ -64,6 +64,9 @@ pub enum Command {
     /// Open a window on scans, scenes, transfer functions and light maps
     #[cfg(feature = "preview")]
     Preview(PreviewArgs),
+    /// Show scans in a headset, in the user's own room
+    #[cfg(feature = "xr")]
+    Xr(XrArgs),
     /// Measure speed and error on this machine
     #[command(subcommand)]
     Bench(BenchCommand),
@@ -119,6 +122,59 @@ pub struct PreviewArgs {
     /// Close the window after as many frames
     #[arg(long, value_name = "N", hide = true)]
     pub frames: Option<u32>,
+}
+
+/// `holovol xr`
+#[cfg(feature = "xr")]
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Takes any headset whose runtime speaks OpenXR and Vulkan: SteamVR, WiVRn, Monado, Quest Link. Where
+there is a display, the preview's window stands beside it. See docs/headsets.md.
+
+Examples:
+  holovol xr
+  holovol xr scan.nii.gz room.hdr
+  holovol xr --simulate --out pictures/xr     # no headset needed: writes what both eyes see")]
+pub struct XrArgs {
+    /// Scans, folders of DICOM files, scenes, *.tf.json, *.hdr, *.exr
+    #[arg(value_name = "FILE")]
+    pub files: Vec<PathBuf>,
+    /// Start Monado with a headset that moves by itself; without a display, writes pictures
+    #[arg(long)]
+    pub simulate: bool,
+    /// Write PREFIX.left.png and PREFIX.right.png, then end
+    #[arg(long, value_name = "PREFIX")]
+    pub out: Option<PathBuf>,
+    /// Open the preview's window if there is no headset
+    #[arg(long)]
+    pub window: bool,
+    /// Open no window beside the headset
+    #[arg(long, conflicts_with = "window")]
+    pub no_window: bool,
+    /// Samples per pixel and frame
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    pub samples: u32,
+    /// Pixels drawn per pixel that the runtime recommends, along each axis, 0.1 to 8
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    pub resolution: f32,
+    /// Draw as for a headset that shows the room in this way, whatever it does
+    #[arg(long, value_name = "HOW", hide = true)]
+    pub blend: Option<XrBlend>,
+    /// Frames before the end, or before the pictures
+    #[arg(long, value_name = "N", hide = true)]
+    pub frames: Option<u32>,
+}
+
+/// How a headset shows the room.
+#[cfg(feature = "xr")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum XrBlend {
+    /// Behind what is drawn
+    Alpha,
+    /// Added to what is drawn
+    Additive,
+    /// Not at all
+    Opaque,
 }
 
 #[cfg(feature = "preview")]

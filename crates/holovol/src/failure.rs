@@ -25,6 +25,8 @@ pub enum Exit {
     Device = 6,
     /// 7: the image was written, but a check of the renderer failed, so that it may be wrong.
     Inexact = 7,
+    /// 8: there is no headset, or no way to it.
+    NoHeadset = 8,
     /// 130: stopped by Ctrl-C; what was traced by then is written.
     Interrupted = 130,
 }

@@ -24,6 +24,8 @@ mod progress;
 mod render;
 mod render_live;
 mod thumbnail;
+#[cfg(feature = "xr")]
+mod xr;
 
 pub use failure::{Exit, Failure};
 
@@ -62,6 +64,8 @@ pub fn run(cli: Cli) -> Result<(), Failure> {
         Command::Calibrate(args) => light::stitch::calibrate(&args),
         #[cfg(feature = "preview")]
         Command::Preview(args) => preview::run(&args),
+        #[cfg(feature = "xr")]
+        Command::Xr(args) => xr::run(&args),
         Command::Bench(command) => bench::run(&command),
         Command::Completions { shell } => {
             let mut script = Vec::new();

@@ -14,7 +14,7 @@ use glam::{DMat3, DVec3};
 use half::f16;
 use holovol_light::EnvironmentMap;
 
-use super::{EnvironmentAsset, EnvironmentSource, VolumeEnvironment};
+use super::{EnvironmentAsset, EnvironmentSource, VolumeEnvironment, WithoutSky};
 use crate::VolumeRenderSettings;
 
 /// Texels along a face: irradiance is smooth, reflections less so.
@@ -123,6 +123,7 @@ type Camera<'a> = (
     Option<&'a Skybox>,
     Has<LitByEnvironment>,
     Has<SkyOfEnvironment>,
+    Has<WithoutSky>,
 );
 
 /// Gives the cameras light and sky, and takes them away again.
@@ -136,7 +137,7 @@ pub(super) fn apply(
         return;
     };
     let rotation = Quat::from_rotation_y(environment.rotation_y);
-    for (entity, light, sky, light_is_ours, sky_is_ours) in &cameras {
+    for (entity, light, sky, light_is_ours, sky_is_ours, is_without) in &cameras {
         let mut camera = commands.entity(entity);
         if environment.lights_meshes && (light.is_none() || light_is_ours) {
             let is_current = light.is_some_and(|light| {
@@ -157,7 +158,8 @@ pub(super) fn apply(
         } else if light_is_ours && !environment.lights_meshes {
             camera.try_remove::<(EnvironmentMapLight, LitByEnvironment)>();
         }
-        if environment.is_sky && (sky.is_none() || sky_is_ours) {
+        let has_sky = environment.is_sky && !is_without;
+        if has_sky && (sky.is_none() || sky_is_ours) {
             let is_current = sky.is_some_and(|sky| {
                 sky.image.as_ref() == Some(&images.sky)
                     && sky.brightness == environment.intensity
@@ -171,7 +173,7 @@ pub(super) fn apply(
                 };
                 camera.try_insert((sky, SkyOfEnvironment));
             }
-        } else if sky_is_ours && !environment.is_sky {
+        } else if sky_is_ours && !has_sky {
             camera.try_remove::<(Skybox, SkyOfEnvironment)>();
         }
     }

@@ -88,6 +88,12 @@ impl VolumeEnvironment {
     }
 }
 
+/// On a camera: the environment isn't its sky, though it lights what the camera sees. Headsets
+/// through which the room itself is seen have it.
+#[derive(Component, Reflect, Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[reflect(Component, Default, Clone, Debug, PartialEq)]
+pub struct WithoutSky;
+
 /// Where the light of a [`VolumeEnvironment`] comes from.
 ///
 /// Live light is a map whose asset is replaced as often as there is a new one: everything follows.

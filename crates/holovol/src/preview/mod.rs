@@ -23,6 +23,7 @@ mod transfer;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use bevy::app::PluginGroupBuilder;
 use bevy::camera::CameraOutputMode;
 use bevy::camera::visibility::RenderLayers;
 use bevy::core_pipeline::tonemapping::Tonemapping;
@@ -68,14 +69,34 @@ pub(crate) fn run(args: &PreviewArgs) -> Result<(), Failure> {
              pictures without one",
         ));
     }
-    for file in &args.files {
+    check_files(&args.files)?;
+    // Bevy ends the process if there is no adapter: that is found out before, and said kindly.
+    holovol_render::Gpu::new(None)?;
+    match app(args, |plugins| plugins).run() {
+        AppExit::Success => Ok(()),
+        AppExit::Error(_) => Err(Failure::new(
+            Exit::Device,
+            "the window closed after an error of the graphics device; what it said is above",
+        )),
+    }
+}
+
+/// Refuses files that aren't there before anything is opened.
+pub(crate) fn check_files(files: &[PathBuf]) -> Result<(), Failure> {
+    for file in files {
         if !file.exists() {
             let message = format!("{}: there is no such file or folder", file.display());
             return Err(Failure::new(Exit::Input, message));
         }
     }
-    // Bevy ends the process if there is no adapter: that is found out before, and said kindly.
-    holovol_render::Gpu::new(None)?;
+    Ok(())
+}
+
+/// The window's app. `adapt` may put Bevy's plugins on another graphics device.
+pub(crate) fn app(
+    args: &PreviewArgs,
+    adapt: impl FnOnce(PluginGroupBuilder) -> PluginGroupBuilder,
+) -> App {
     let [width, height] = args.size;
     let window = Window {
         title: "holovol".into(),
@@ -85,49 +106,45 @@ pub(crate) fn run(args: &PreviewArgs) -> Result<(), Failure> {
         ..default()
     };
     let mut app = App::new();
-    app.add_plugins((
-        DefaultPlugins
-            .set(WindowPlugin {
-                primary_window: Some(window),
-                ..default()
-            })
-            .set(LogPlugin {
-                filter: "warn,bevy_render::renderer=error".into(),
-                ..default()
-            }),
-        EguiPlugin::default(),
-        HolovolPlugins,
-    ))
-    .insert_resource(ClearColor(Color::srgb(0.02, 0.02, 0.025)))
-    .insert_resource(WinitSettings {
-        focused_mode: UpdateMode::reactive(Duration::from_secs(1)),
-        unfocused_mode: UpdateMode::reactive_low_power(Duration::from_secs(1)),
-    })
-    .insert_resource(FirstFiles(args.files.clone()))
-    .insert_resource(FrameLimit(args.frames))
-    .add_plugins((
-        camera::CameraPlugin,
-        open::OpenPlugin,
-        panel::PanelPlugin,
-        pointer::PointerPlugin,
-        quality::QualityPlugin,
-        studio::StudioPlugin,
-    ))
-    .insert_resource(settings::Settings::load())
-    .init_resource::<pictures::Pictures>()
-    .add_systems(Startup, setup)
-    .add_systems(Last, (title, keep_drawing, end_after_frames));
-    match app.run() {
-        AppExit::Success => Ok(()),
-        AppExit::Error(_) => Err(Failure::new(
-            Exit::Device,
-            "the window closed after an error of the graphics device; what it said is above",
-        )),
-    }
+    let plugins = DefaultPlugins
+        .set(WindowPlugin {
+            primary_window: Some(window),
+            ..default()
+        })
+        .set(LogPlugin {
+            filter: "warn,bevy_render::renderer=error".into(),
+            ..default()
+        });
+    app.add_plugins((adapt(plugins), EguiPlugin::default(), HolovolPlugins))
+        .insert_resource(ClearColor(Color::srgb(0.02, 0.02, 0.025)))
+        .insert_resource(WinitSettings {
+            focused_mode: UpdateMode::reactive(Duration::from_secs(1)),
+            unfocused_mode: UpdateMode::reactive_low_power(Duration::from_secs(1)),
+        })
+        .insert_resource(FirstFiles(args.files.clone()))
+        .insert_resource(FrameLimit(args.frames))
+        // Else it is the first camera that is found, which may be a headset's.
+        .insert_resource(EguiGlobalSettings {
+            auto_create_primary_context: false,
+            ..default()
+        })
+        .add_plugins((
+            camera::CameraPlugin,
+            open::OpenPlugin,
+            panel::PanelPlugin,
+            pointer::PointerPlugin,
+            quality::QualityPlugin,
+            studio::StudioPlugin,
+        ))
+        .insert_resource(settings::Settings::load())
+        .init_resource::<pictures::Pictures>()
+        .add_systems(Startup, setup)
+        .add_systems(Last, (title, keep_drawing, end_after_frames));
+    app
 }
 
 /// Whether windows can be opened; elsewhere than on Unix they always can.
-fn has_display() -> bool {
+pub(crate) fn has_display() -> bool {
     let is_set = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
     !cfg!(all(unix, not(target_os = "macos"))) || is_set("DISPLAY") || is_set("WAYLAND_DISPLAY")
 }
@@ -135,13 +152,8 @@ fn has_display() -> bool {
 #[derive(Resource)]
 struct FrameLimit(Option<u32>);
 
-fn setup(
-    mut commands: Commands,
-    limit: Res<FrameLimit>,
-    mut egui_settings: ResMut<EguiGlobalSettings>,
-) {
+fn setup(mut commands: Commands, limit: Res<FrameLimit>) {
     // The panel has the whole window, and a camera of its own; the scan what it leaves free.
-    egui_settings.auto_create_primary_context = false;
     commands.spawn((
         PrimaryEguiContext,
         Camera2d,

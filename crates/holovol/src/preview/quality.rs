@@ -6,6 +6,7 @@ use bevy::prelude::*;
 use bevy::time::Real;
 use bevy_holovol::prelude::*;
 
+use super::camera::Orbit;
 use super::pictures::Pictures;
 
 /// Samples per pixel at which a resting view is done.
@@ -168,7 +169,8 @@ fn adapt(
     time: Res<Time<Real>>,
     environment: Res<VolumeEnvironment>,
     volumes: Query<Shown>,
-    mut cameras: Query<(Ref<Transform>, &Camera, &mut VolumeRenderSettings)>,
+    // Not the eyes of a headset.
+    mut cameras: Query<(Ref<Transform>, &Camera, &mut VolumeRenderSettings), With<Orbit>>,
     mut transfer_functions: MessageReader<AssetEvent<TransferFunctionAsset>>,
     planes: Query<(), (With<VolumeClipPlane>, Changed<GlobalTransform>)>,
     mut input: Input,

@@ -1,0 +1,194 @@
+//! How sessions begin, end, and are lost.
+
+use bevy::prelude::*;
+use bevy_holovol::VolumeStatistics;
+use bevy_holovol::xr::{
+    FieldOfView, FrameCost, HeadsetBlend, HeadsetRequest, HeadsetState, MixedRealitySettings,
+    RawView, TamperedViews,
+};
+
+use crate::SIMULATION;
+use crate::app::*;
+
+pub const TESTS: &[crate::Test] = &[
+    (
+        "three_hundred_frames_and_a_clean_stop_twice_in_one_process",
+        three_hundred_frames_twice,
+    ),
+    (
+        "a_session_can_be_started_again_in_one_app",
+        a_session_can_be_started_again,
+    ),
+    (
+        "a_dead_runtime_is_reconnected_to",
+        a_dead_runtime_is_reconnected_to,
+    ),
+    (
+        "unusable_views_draw_nothing_and_harm_nothing",
+        unusable_views,
+    ),
+    (
+        "a_frame_takes_one_and_a_half_milliseconds_at_most",
+        overhead,
+    ),
+];
+
+fn with_volume(settings: MixedRealitySettings) -> App {
+    let mut app = app(settings);
+    let place = Transform::from_xyz(0.0, 1.6, -1.0);
+    let matter = function(20.0, [0.8; 3]);
+    spawn_volume(&mut app, solid(Vec3::splat(0.3)), matter, place);
+    app
+}
+
+#[track_caller]
+fn stop(app: &mut App) {
+    app.world_mut().write_message(HeadsetRequest::Stop);
+    run_until(app, "ended", |app| status(app).state == HeadsetState::Ended);
+}
+
+fn three_hundred_frames_twice() {
+    for _ in 0..2 {
+        let mut app = with_volume(settings());
+        show(&mut app);
+        let begin = status(&app);
+        assert_eq!(begin.blend, HeadsetBlend::Opaque, "Monado's only one");
+        assert!(begin.is_tracked);
+        let dispatches = app.world().resource::<VolumeStatistics>().get().dispatches;
+        for frame in 1..=300 {
+            app.update();
+            let now = status(&app);
+            assert_eq!(now.frames, begin.frames + frame);
+            assert_eq!(now.state, HeadsetState::Focused);
+            assert_eq!(now.problem, None);
+        }
+        let statistics = app.world().resource::<VolumeStatistics>().get();
+        assert!(
+            statistics.dispatches >= dispatches + 300,
+            "traced each time"
+        );
+        assert_eq!(statistics.counters, default());
+        assert_eq!(status(&app).sessions, 1);
+        stop(&mut app);
+        let frames = status(&app).frames;
+        for _ in 0..3 {
+            app.update();
+        }
+        assert_eq!(status(&app).frames, frames, "no frames without a session");
+    }
+}
+
+fn a_session_can_be_started_again() {
+    let mut app = with_volume(settings());
+    show(&mut app);
+    stop(&mut app);
+    app.world_mut().write_message(HeadsetRequest::Start);
+    focus(&mut app);
+    assert_eq!(status(&app).sessions, 2);
+    assert_eq!(status(&app).reconnections, 0);
+    stop(&mut app);
+}
+
+fn a_dead_runtime_is_reconnected_to() {
+    let mut app = with_volume(settings());
+    show(&mut app);
+    let simulation = || SIMULATION.lock().expect("no panic");
+    simulation().as_mut().expect("a service").kill();
+    run_until(&mut app, "lost", |app| {
+        status(app).state == HeadsetState::Lost
+    });
+    assert!(status(&app).problem.is_some());
+    // The app goes on, and looks for the runtime in vain.
+    for _ in 0..300 {
+        app.update();
+    }
+    assert_eq!(status(&app).state, HeadsetState::Lost);
+    simulation()
+        .as_mut()
+        .expect("a service")
+        .restart()
+        .expect("it starts again");
+    show(&mut app);
+    let now = status(&app);
+    assert_eq!((now.reconnections, now.sessions), (1, 2));
+    assert_eq!(now.problem, None);
+    let frame = capture(&mut app);
+    let bright = linear(&frame, 0).iter().filter(|p| p[0] > 0.1).count();
+    assert!(bright > 100, "the volume is drawn again");
+    stop(&mut app);
+}
+
+/// Late at first, and then a different kind of garbage in every frame.
+fn spoil(time: i64, view: &mut RawView) {
+    use std::sync::atomic::{AtomicU32, Ordering};
+    static CALLS: AtomicU32 = AtomicU32::new(0);
+    let call = CALLS.fetch_add(1, Ordering::Relaxed);
+    assert!(time > 0);
+    if call < 40 {
+        (view.orientation, view.position) = (None, None);
+        return;
+    }
+    let flat = FieldOfView {
+        left: 0.0,
+        right: 0.0,
+        up: 0.0,
+        down: 0.0,
+    };
+    match call % 7 {
+        0 => view.orientation = Some([f32::NAN; 4]),
+        1 => view.orientation = Some([0.0; 4]),
+        2 => view.position = Some([f32::NAN, 0.0, f32::INFINITY]),
+        3 => view.fov = flat,
+        4 => view.fov.left = f32::NAN,
+        5 => (view.orientation, view.position) = (None, None),
+        _ => {}
+    }
+}
+
+fn unusable_views() {
+    let mut app = with_volume(MixedRealitySettings {
+        tampered_views: Some(TamperedViews(spoil)),
+        ..settings()
+    });
+    show(&mut app);
+    for _ in 0..60 {
+        app.update();
+        let now = status(&app);
+        assert_eq!(now.state, HeadsetState::Focused, "{:?}", now.problem);
+    }
+    let frame = capture(&mut app);
+    for eye in 0..2 {
+        assert!(frame.views[eye].pose.rotation.is_normalized());
+        assert!(frame.views[eye].fov.is_usable());
+        let picture = linear(&frame, eye);
+        let bright = picture.iter().filter(|p| p[0] > 0.1).count();
+        assert!(bright > 100, "the volume is drawn");
+        // NaN would be black or white in 8 bits: the sides see none of the volume.
+        let corner = picture[0];
+        assert_eq!(corner[..3], [0.0; 3]);
+    }
+    let counters = app.world().resource::<VolumeStatistics>().get().counters;
+    assert_eq!(counters.nonfinite_samples, 0);
+    stop(&mut app);
+}
+
+/// CPU time of the headset's systems, both worlds'.
+fn overhead() {
+    const FRAMES: u32 = 200;
+    let mut app = with_volume(settings());
+    show(&mut app);
+    let cost = app.world().resource::<FrameCost>().clone();
+    cost.measure();
+    for _ in 0..FRAMES {
+        app.update();
+    }
+    let Some(nanoseconds) = cost.nanoseconds() else {
+        eprintln!("skipped: this system doesn't tell the CPU time of threads");
+        return;
+    };
+    let ms = 1e-6 * nanoseconds as f64 / f64::from(FRAMES);
+    eprintln!("{ms:.3} ms of CPU time a frame");
+    assert!(ms > 0.01, "nothing was measured");
+    assert!(ms < 1.5, "{ms} ms");
+    stop(&mut app);
+}

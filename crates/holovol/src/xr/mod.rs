@@ -1,0 +1,175 @@
+//! `holovol xr`: scans in the user's room.
+//!
+//! Where there is a display, the preview's window stays beside the headset: same volume, same panel,
+//! a view of its own. Without one the headset is all there is.
+
+mod contents;
+mod picture;
+mod place;
+
+use std::time::Duration;
+
+use bevy::app::{PluginGroupBuilder, ScheduleRunnerPlugin};
+use bevy::log::LogPlugin;
+use bevy::prelude::*;
+use bevy::window::{ExitCondition, PresentMode};
+use bevy::winit::{WinitPlugin, WinitSettings};
+use bevy_holovol::prelude::*;
+use bevy_holovol::xr::{
+    Headset, HeadsetBlend, HeadsetRequest, MixedRealitySettings, SimulatedHeadset,
+};
+
+use crate::cli::{PreviewArgs, XrArgs, XrBlend};
+use crate::{Exit, Failure, preview};
+
+/// Shows scans in a headset until its session ends.
+pub(crate) fn run(args: &XrArgs) -> Result<(), Failure> {
+    preview::check_files(&args.files)?;
+    let simulation = if args.simulate {
+        let started = SimulatedHeadset::start(true);
+        Some(started.map_err(|error| Failure::new(Exit::NoHeadset, error.to_string()))?)
+    } else {
+        None
+    };
+    let headset = match Headset::connect("holovol") {
+        Ok(headset) => headset,
+        Err(missing) if args.window => {
+            eprintln!("{missing}\nOpening a window instead.");
+            return preview::run(&args.preview());
+        }
+        Err(missing) => {
+            let files = args.files.iter().map(|file| format!(" {}", file.display()));
+            let message = format!(
+                "{missing}\nWithout a headset, a window shows the same: holovol preview{}\nA \
+                 simulated headset needs Monado only: holovol xr --simulate",
+                files.collect::<String>()
+            );
+            return Err(Failure::new(Exit::NoHeadset, message));
+        }
+    };
+    eprintln!("{} on {}", headset.system_name(), headset.runtime());
+    let has_window = preview::has_display() && args.out.is_none() && !args.no_window;
+    let exit = if has_window {
+        let mut app = preview::app(&args.preview(), |plugins| headset.plugins(plugins));
+        join(&mut app, args);
+        // The headset paces frames, not the window.
+        app.insert_resource(WinitSettings::continuous())
+            .add_systems(Startup, |mut windows: Query<&mut Window>| {
+                for mut window in &mut windows {
+                    window.present_mode = PresentMode::AutoNoVsync;
+                }
+            })
+            .run()
+    } else {
+        let contents = contents::Contents::read(&args.files)?;
+        let mut app = without_window(contents, |plugins| headset.plugins(plugins));
+        join(&mut app, args);
+        app.run()
+    };
+    drop(simulation);
+    match exit {
+        AppExit::Success => Ok(()),
+        AppExit::Error(code) if i32::from(code.get()) == Exit::Interrupted as i32 => {
+            Err(Failure::new(Exit::Interrupted, "stopped"))
+        }
+        AppExit::Error(_) => Err(Failure::new(
+            Exit::Device,
+            "the headset went dark after an error of the graphics device; what it said is above",
+        )),
+    }
+}
+
+impl XrArgs {
+    fn preview(&self) -> PreviewArgs {
+        PreviewArgs {
+            files: self.files.clone(),
+            size: [1280, 800],
+            frames: None,
+        }
+    }
+}
+
+/// What an app in a headset has besides its volume.
+fn join(app: &mut App, args: &XrArgs) {
+    app.insert_resource(MixedRealitySettings {
+        render: VolumeRenderSettings {
+            mode: VolumeRenderMode::Fresh,
+            samples: args.samples,
+            ..default()
+        },
+        simulated_blend: args.blend.map(|blend| match blend {
+            XrBlend::Alpha => HeadsetBlend::Alpha,
+            XrBlend::Additive => HeadsetBlend::Additive,
+            XrBlend::Opaque => HeadsetBlend::Opaque,
+        }),
+        resolution_scale: args.resolution,
+        // Pictures may take their time.
+        volume_resolution: args.picture_prefix().is_none().then_some([0.4, 1.0]),
+        ..default()
+    })
+    .insert_resource(Ending(args.frames))
+    .add_plugins(place::PlacePlugin)
+    .add_systems(Last, end_after_frames);
+    // Simulated heads have seen enough after one picture.
+    if let Some(out) = args.picture_prefix() {
+        app.insert_resource(picture::Wanted::new(out, args.frames.unwrap_or(30)))
+            .add_systems(Last, picture::take);
+    }
+}
+
+impl XrArgs {
+    /// Where pictures go, if any are wanted.
+    fn picture_prefix(&self) -> Option<std::path::PathBuf> {
+        let is_silent = !preview::has_display() || self.no_window;
+        let default = (self.simulate && is_silent).then(|| "holovol-xr".into());
+        self.out.clone().or(default)
+    }
+}
+
+fn without_window(
+    contents: contents::Contents,
+    on_headset: impl FnOnce(PluginGroupBuilder) -> PluginGroupBuilder,
+) -> App {
+    let plugins = DefaultPlugins
+        .build()
+        .set(WindowPlugin {
+            primary_window: None,
+            exit_condition: ExitCondition::DontExit,
+            ..default()
+        })
+        .set(LogPlugin {
+            filter: "warn,bevy_render::renderer=error".into(),
+            ..default()
+        })
+        .disable::<WinitPlugin>();
+    let mut app = App::new();
+    app.add_plugins((
+        on_headset(plugins),
+        // The headset paces frames.
+        ScheduleRunnerPlugin::run_loop(Duration::ZERO),
+        HolovolPlugins,
+    ));
+    app.insert_resource(contents)
+        .add_systems(Startup, contents::spawn);
+    app
+}
+
+/// Frames to draw, for tests.
+#[derive(Resource)]
+struct Ending(Option<u32>);
+
+fn end_after_frames(
+    ending: Res<Ending>,
+    wanted: Option<Res<picture::Wanted>>,
+    status: Res<bevy_holovol::xr::HeadsetStatus>,
+    mut requests: MessageWriter<HeadsetRequest>,
+    mut is_asked: Local<bool>,
+) {
+    let has_time = ending
+        .0
+        .is_none_or(|frames| status.frames < u64::from(frames));
+    if !has_time && wanted.is_none() && !*is_asked {
+        *is_asked = true;
+        requests.write(HeadsetRequest::Stop);
+    }
+}

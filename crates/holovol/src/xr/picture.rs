@@ -1,0 +1,93 @@
+//! What both eyes were given, as PNGs.
+
+use std::path::{Path, PathBuf};
+
+use bevy::prelude::*;
+use bevy_holovol::VolumeStatistics;
+use bevy_holovol::xr::{CapturedFrame, EyeCapture, HeadsetBlend, HeadsetRequest, HeadsetStatus};
+use image::{DynamicImage, RgbaImage};
+
+/// Pictures that are still to be taken.
+#[derive(Resource)]
+pub(super) struct Wanted {
+    prefix: PathBuf,
+    /// Frames to wait for once the volume is seen.
+    frames: u32,
+    is_requested: bool,
+}
+
+impl Wanted {
+    pub(super) fn new(prefix: PathBuf, frames: u32) -> Self {
+        Self {
+            prefix,
+            frames,
+            is_requested: false,
+        }
+    }
+}
+
+/// Takes them when everything is seen, and ends the session.
+pub(super) fn take(
+    mut commands: Commands,
+    wanted: Option<ResMut<Wanted>>,
+    statistics: Res<VolumeStatistics>,
+    status: Res<HeadsetStatus>,
+    capture: Res<EyeCapture>,
+    mut requests: MessageWriter<HeadsetRequest>,
+) {
+    let Some(mut wanted) = wanted else {
+        return;
+    };
+    let statistics = statistics.get();
+    if !wanted.is_requested {
+        if statistics.dispatches > 0 && !statistics.is_waiting && status.is_tracked {
+            wanted.frames = wanted.frames.saturating_sub(1);
+        }
+        if wanted.frames == 0 {
+            wanted.is_requested = true;
+            capture.request();
+        }
+        return;
+    }
+    let Some(frame) = capture.take() else {
+        return;
+    };
+    match write(&wanted.prefix, &frame, status.blend) {
+        Ok(paths) => {
+            for path in paths {
+                println!("{}", path.display());
+            }
+        }
+        Err(error) => error!("{error}"),
+    }
+    commands.remove_resource::<Wanted>();
+    requests.write(HeadsetRequest::Stop);
+}
+
+fn write(
+    prefix: &Path,
+    frame: &CapturedFrame,
+    blend: HeadsetBlend,
+) -> Result<[PathBuf; 2], String> {
+    let [width, height] = frame.size;
+    let mut paths = ["left", "right"].map(|eye| {
+        let mut name = prefix.as_os_str().to_owned();
+        name.push(format!(".{eye}.png"));
+        PathBuf::from(name)
+    });
+    for (path, pixels) in paths.iter_mut().zip(&frame.pixels) {
+        let picture = RgbaImage::from_raw(width, height, pixels.clone())
+            .ok_or_else(|| format!("{:?} makes no PNG", frame.format))?;
+        let picture = DynamicImage::from(picture);
+        let picture = if blend == HeadsetBlend::Alpha {
+            picture
+        } else {
+            // Opacity says nothing.
+            picture.to_rgb8().into()
+        };
+        picture
+            .save(&*path)
+            .map_err(|error| format!("{}: {error}", path.display()))?;
+    }
+    Ok(paths)
+}
