@@ -402,7 +402,8 @@ fn bad_scenes_are_refused_by_file_and_field() {
             json!({ "path": "sphere.nrrd" }),
             ["environment.path", ".hdr"],
         ),
-        ("/clip", json!({}), ["clip", "not supported yet"]),
+        ("/clip", json!([[0, 0, 0, 1]]), ["clip[0]", "no normal"]),
+        ("/labels", json!({}), ["labels", "not supported yet"]),
         ("/phase_g", json!(1.5), ["phase_g", "1.5"]),
         (
             "/camera/width",

@@ -14,6 +14,7 @@ pub fn tests() -> Vec<Test> {
         ("surfaces_agree", surfaces_agree),
         ("emission_agrees", emission_agrees),
         ("placements_agree", placements_agree),
+        ("cuts_agree", cuts_agree),
         ("cameras_agree", cameras_agree),
         ("phase_functions_agree", phase_functions_agree),
         ("scattering_orders_agree", scattering_orders_agree),
@@ -132,6 +133,22 @@ fn placements_agree() {
     (scene.camera.eye, scene.camera.target) = (camera.eye, camera.target);
     scene.camera.fov_y = 0.008;
     assert_same("spacing of 1 : 1000", &scene, &options());
+}
+
+/// Slanted planes through a glossy volume: what is cut off neither shows nor casts shadows.
+fn cuts_agree() {
+    let mut scene = blob_scene();
+    scene.gradient_factor = 1.0;
+    scene.integrator.max_scatters = Some(3);
+    let middle = scene
+        .world_from_unit_cube
+        .transform_point3(DVec3::splat(0.5));
+    let plane = |normal: DVec3| normal.extend(-normal.dot(middle));
+    let [slanted, other] = [DVec3::new(-1.0, -0.4, -0.7), DVec3::new(0.2, -3.0, 0.5)].map(plane);
+    for planes in [vec![slanted], vec![slanted, other]] {
+        scene.clip_planes = planes;
+        assert_same("cuts", &scene, &options());
+    }
 }
 
 fn cameras_agree() {

@@ -1,7 +1,7 @@
 //! Scenes of `holovol render` as Bevy's components.
 
 use bevy::prelude::*;
-use glam::DVec3;
+use glam::{DVec3, DVec4};
 use holovol_scene::{Camera as SceneCamera, Scene};
 
 use crate::environment::DEFAULT_INTENSITY;
@@ -21,6 +21,9 @@ pub struct SceneParts {
     pub transfer_function: TransferFunctionAsset,
     /// Window, phase function, surface.
     pub medium: VolumeMedium,
+    /// Where [`VolumeClipPlane`](crate::VolumeClipPlane)s stand that cut it, as (n, w) with
+    /// n·x + w ≥ 0 for what stays.
+    pub clip_planes: Vec<DVec4>,
     /// The light's map.
     pub environment: EnvironmentAsset,
     /// cd/m² of radiance 1 of the map.
@@ -52,6 +55,7 @@ impl SceneParts {
             },
             transfer_function: TransferFunctionAsset::from_function(scene.transfer_function),
             volume: VolumeAsset::new(scene.volume).with_placement(scene.world_from_unit_cube),
+            clip_planes: scene.clip_planes,
             environment: EnvironmentAsset::new(scene.environment.map),
             intensity: scene.environment.scale as f32 * DEFAULT_INTENSITY,
             rotation_y: scene.environment.rotation_y as f32,

@@ -2,7 +2,7 @@
 
 use std::ops::ControlFlow;
 
-use glam::{DMat3, DMat4, DVec3};
+use glam::{DMat3, DMat4, DVec3, DVec4};
 use holovol_scene::Scene;
 use holovol_volume::Voxels;
 
@@ -16,6 +16,8 @@ pub struct Medium {
     pub extinction: Extinction,
     pub majorants: Majorants,
     pub texel_from_direction: DMat3,
+    /// What lies at n·texel + w < 0 of a plane is left out.
+    clip: Vec<DVec4>,
 }
 
 /// Where a path is in space.
@@ -41,7 +43,27 @@ impl Medium {
             extinction,
             majorants,
             texel_from_direction: DMat3::from_mat4(*texel_from_world),
+            // A plane goes by the inverse transpose.
+            clip: scene
+                .clip_planes
+                .iter()
+                .map(|plane| texel_from_world.inverse().transpose() * *plane)
+                .collect(),
         }
+    }
+
+    /// Extinction at a place, 1/m, and s there.
+    #[inline]
+    fn extinction<T: Stored>(&self, field: &Field<'_, T>, texel: DVec3) -> (f64, f64) {
+        let s = field.sample(texel);
+        if self
+            .clip
+            .iter()
+            .any(|plane| plane.dot(texel.extend(1.0)) < 0.0)
+        {
+            return (0.0, s);
+        }
+        (self.extinction.at(s), s)
     }
 
     /// Delta tracking (Woodcock et al. 1965): the first collision along a world direction.
@@ -66,8 +88,7 @@ impl Medium {
                     }
                     t += way;
                     let texel = start + step * t;
-                    let s = field.sample(texel);
-                    let sigma_t = self.extinction.at(s);
+                    let (sigma_t, s) = self.extinction(field, texel);
                     debug_assert!(sigma_t <= majorant * (1.0 + 1e-9), "{sigma_t} > {majorant}");
                     if rng.uniform() * majorant < sigma_t {
                         return ControlFlow::Break(Vertex { texel, s });
@@ -102,7 +123,7 @@ impl Medium {
                         return ControlFlow::Continue(());
                     }
                     t += way;
-                    let sigma_t = self.extinction.at(field.sample(start + step * t));
+                    let (sigma_t, _) = self.extinction(field, start + step * t);
                     transmittance *= (1.0 - sigma_t / majorant).max(0.0);
                     if transmittance < ROULETTE {
                         if rng.uniform() * ROULETTE >= transmittance {

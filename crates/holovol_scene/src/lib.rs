@@ -15,7 +15,7 @@ pub use file::{
     VolumeEntry, load,
 };
 
-use glam::{DMat4, DVec3};
+use glam::{DMat4, DVec3, DVec4};
 use holovol_light::EnvironmentMap;
 use holovol_volume::{TransferFunction, Volume};
 
@@ -34,6 +34,9 @@ pub struct Scene {
     pub phase_g: f64,
     /// k of the gradient-surface blend P = 1 − exp(−k·|∇s|·h); 0 turns the surface off.
     pub gradient_factor: f64,
+    /// Planes (n, w) in world space: what lies at n·x + w < 0 of one is left out, for light and view
+    /// alike. n need not have length 1.
+    pub clip_planes: Vec<DVec4>,
     /// Light from all around.
     pub environment: Environment,
     /// The view.

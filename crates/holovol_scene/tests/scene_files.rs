@@ -127,12 +127,25 @@ fn unknown_keys_are_named_with_the_nearest_valid_one() {
 }
 
 #[test]
+fn planes_that_cut_nothing_definite_are_refused() {
+    refused("/clip", json!([[0, 0, 0, 1]]), &["clip[0]", "no normal"]);
+    refused("/clip", json!([[0, 1e300, 0, 1]]), &["clip[0][1]"]);
+    refused(
+        "/clip",
+        json!([[0, 1, 0]]),
+        &["clip[0]", "exactly that many"],
+    );
+    refused(
+        "/clip",
+        json!(vec![[1, 0, 0, 0]; 9]),
+        &["clip", "at most 8"],
+    );
+    with("/clip", json!([[0, 1, 0, -0.5], [1, 1, 1, 1e-3]]));
+}
+
+#[test]
 fn parts_to_come_are_recognised_and_refused() {
-    for (pointer, name) in [
-        ("/clip", "clip:"),
-        ("/volumes", "volumes:"),
-        ("/labels", "labels:"),
-    ] {
+    for (pointer, name) in [("/volumes", "volumes:"), ("/labels", "labels:")] {
         refused(pointer, json!([]), &[name, "not supported yet"]);
     }
     let model = json!({ "model": "slabs" });

@@ -209,7 +209,7 @@ fn compare_with_square(path: &std::path::Path) {
     const SAMPLES: u32 = 256;
     let mut scene = holovol_scene::load(path, &mut |_| {}).expect("a scene file");
     (scene.camera.width, scene.camera.height) = (SIZE, SIZE);
-    let camera = scene.camera.clone();
+    let camera = scene.camera;
     let [right, up, _] = camera.axes();
     let middle = scene
         .world_from_unit_cube

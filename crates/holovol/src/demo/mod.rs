@@ -121,6 +121,7 @@ fn scene(size: u32) -> SceneFile {
         },
         phase_g: 0.0,
         gradient_factor: 4.0,
+        clip: Vec::new(),
         environment: EnvironmentEntry::from_path("room"),
         camera: CameraEntry {
             eye: [0.34, 0.07, 0.62],

@@ -63,6 +63,19 @@ pub(crate) struct Plane {
     pub(crate) is_on: bool,
 }
 
+impl Plane {
+    /// The plane that leaves out what lies at n·x + w < 0 of a scan with this middle.
+    pub(crate) fn from_cut(cut: DVec4, middle: DVec3) -> Self {
+        let length = cut.truncate().length();
+        let normal = -cut.truncate() / length;
+        Self {
+            normal,
+            offset: cut.w / length - normal.dot(middle),
+            is_on: true,
+        }
+    }
+}
+
 /// A box along the scan's own axes; what lies outside is left out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Crop {
@@ -359,6 +372,8 @@ mod tests {
         let [plane] = look.clip_planes(matrix)[..] else {
             panic!("one plane");
         };
+        let again = Plane::from_cut(3.0 * plane, DVec3::ONE);
+        assert!(again.normal.distance(normal) < 1e-12 && (again.offset - 0.05).abs() < 1e-12);
         let height = |at: DVec3| plane.dot((DVec3::ONE + at).extend(1.0));
         assert!(height(normal * 0.04) > 0.0 && height(normal * 0.06) < 0.0);
         let transform = transform_of_plane(plane);

@@ -15,7 +15,7 @@ use holovol_scene::{Scene, SceneFile};
 use holovol_volume::TransferFunctionFile;
 
 use super::camera::Orbit;
-use super::look::{Light, LightSource, Look};
+use super::look::{Light, LightSource, Look, Plane};
 use super::settings::Settings;
 use super::studio::{Scan, Studio};
 use super::{FirstFiles, Session, Status};
@@ -265,7 +265,12 @@ impl Show<'_, '_> {
                 let map = self.environments.add(parts.environment);
                 let stops = (parts.intensity / DEFAULT_INTENSITY).log2();
                 let function = parts.transfer_function.file();
+                let middle = opened.scan.middle();
+                let planes = parts.clip_planes.iter();
                 let look = Look {
+                    planes: planes
+                        .map(|&plane| Plane::from_cut(plane, middle))
+                        .collect(),
                     window: parts.medium.window.map_or([0.0, 1.0], |(a, b)| [a, b]),
                     gradient_factor: parts.medium.gradient_factor,
                     phase_g: parts.medium.phase_g,

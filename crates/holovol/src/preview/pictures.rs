@@ -6,7 +6,6 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use bevy::prelude::{Quat, Resource, Vec3};
-use glam::DVec4;
 use holovol_light::EnvironmentMap;
 use holovol_reference::Image;
 use holovol_render::{
@@ -24,8 +23,6 @@ pub(crate) struct Order {
     pub(crate) scene: SceneFile,
     pub(crate) volume: Volume,
     pub(crate) map: EnvironmentMap,
-    /// As in [`Medium::clip_planes`].
-    pub(crate) clip_planes: Vec<DVec4>,
     /// One picture each; PNG or EXR, as the name says.
     pub(crate) pictures: Vec<(CameraEntry, PathBuf)>,
     /// Per pixel.
@@ -146,10 +143,6 @@ impl Camera {
     fn new(order: &Order) -> Result<Self, Failure> {
         let sequence = Sequence::with_data(&order.scene, order.volume.clone(), order.map.clone())?;
         let scene = sequence.frame(0)?;
-        let medium = Medium {
-            clip_planes: order.clip_planes.clone(),
-            ..Medium::from_scene(&scene)
-        };
         let gpu = Gpu::new(None)?;
         let kernels = Arc::new(Kernels::new(&gpu)?);
         let volume = GpuVolume::new(&gpu, &order.volume, Interpolation::Exact, false)?;
@@ -159,7 +152,7 @@ impl Camera {
             kernels,
             Arc::new(volume),
             Arc::new(environment),
-            medium,
+            Medium::from_scene(&scene),
             TraceOptions::default(),
         )?;
         Ok(Self { gpu, tracer })

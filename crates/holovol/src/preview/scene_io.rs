@@ -73,6 +73,11 @@ pub(crate) fn scene_file(look: &Look, scan: &Scan, view: &Viewpoint) -> SceneFil
         },
         phase_g: look.phase_g,
         gradient_factor: look.gradient_factor,
+        clip: look
+            .clip_planes(matrix)
+            .iter()
+            .map(|plane| plane.to_array())
+            .collect(),
         environment,
         camera: view.camera(),
         integrator: IntegratorEntry {

@@ -19,6 +19,7 @@ use bevy_holovol::prelude::*;
 use glam::DVec3;
 use holovol_light::EnvironmentMap;
 use holovol_render::{Gpu, TraceOptions, Tracer};
+use holovol_scene::SceneFile;
 use holovol_volume::{Geometry, TransferPoint, Volume, Voxels};
 
 use super::Session;
@@ -327,17 +328,19 @@ fn pictures_are_cut_as_the_view_is_and_keep_opacity() {
     });
     let view = viewpoint();
     let path = folder.path().join("view.exr");
-    let order = |path: &Path, clip_planes| Order {
-        scene: scene_io::scene_file(&look, &scan, &view),
+    let order = |path: &Path, clip| Order {
+        scene: SceneFile {
+            clip,
+            ..scene_io::scene_file(&look, &scan, &view)
+        },
         volume: scan.volume().clone(),
         map: room(),
-        clip_planes,
         pictures: vec![(view.camera(), path.to_owned())],
         samples: 16,
     };
-    let mean_opacity = |clip_planes| {
+    let mean_opacity = |clip| {
         let mut pictures = Pictures::default();
-        pictures.begin(order(&path, clip_planes)).unwrap();
+        pictures.begin(order(&path, clip)).unwrap();
         let outcome = loop {
             if let Some(outcome) = pictures.outcome() {
                 break outcome;
@@ -350,7 +353,7 @@ fn pictures_are_cut_as_the_view_is_and_keep_opacity() {
         opacity / image.pixels().len() as f64
     };
     let whole = mean_opacity(Vec::new());
-    let half = mean_opacity(look.clip_planes(scan.world_from_unit_cube()));
+    let half = mean_opacity(scene_io::scene_file(&look, &scan, &view).clip);
     assert!(
         whole > 0.1 && half > 0.2 * whole && half < 0.9 * whole,
         "{half} of {whole}"

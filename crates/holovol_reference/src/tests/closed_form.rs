@@ -1,4 +1,4 @@
-use glam::{DMat4, DVec3};
+use glam::{DMat4, DVec3, DVec4};
 use holovol_light::EnvironmentMap;
 
 use super::scenes::*;
@@ -16,6 +16,33 @@ fn slab_opacity_is_one_minus_transmittance() {
             * DMat4::from_scale(DVec3::new(3.0, 0.1, 0.2));
         scene.camera = beam(DVec3::new(5.0, 0.05, 0.1), DVec3::new(0.0, 0.05, 0.1));
         assert_opacity("long slab", &film(&scene, 400), -f64::exp_m1(-3.0 * depth));
+    }
+}
+
+#[test]
+fn planes_leave_out_what_is_before_them() {
+    let mut scene = homogeneous(2.0, 0.5);
+    // A stretched cube that still is one metre along the view.
+    scene.world_from_unit_cube = DMat4::from_translation(DVec3::new(-2.0, -0.5, -0.5))
+        * DMat4::from_scale(DVec3::new(4.0, 1.0, 1.0));
+    for (clip_planes, left) in [
+        (vec![DVec4::new(0.0, 0.0, -3.0, 0.6)], 0.7),
+        (vec![DVec4::new(0.0, 0.0, 1.0, 0.1)], 0.6),
+        (
+            vec![
+                DVec4::new(0.0, 0.0, -1.0, 0.2),
+                DVec4::new(0.0, 0.0, 1.0, 0.1),
+            ],
+            0.3,
+        ),
+        (vec![DVec4::new(1.0, 0.0, 0.0, -0.4)], 0.0),
+    ] {
+        scene.clip_planes = clip_planes;
+        assert_opacity(
+            "what is left",
+            &film(&scene, 400),
+            -f64::exp_m1(-2.0 * left),
+        );
     }
 }
 

@@ -65,6 +65,7 @@ pub fn scene(volume: Volume, points: Vec<TransferPoint>) -> Scene {
         transfer_function: transfer_function(points),
         phase_g: 0.0,
         gradient_factor: 0.0,
+        clip_planes: Vec::new(),
         environment: uniform_light(1.0),
         camera: beam(DVec3::new(0.0, 0.0, 3.0), DVec3::ZERO),
         integrator: Integrator {

@@ -30,9 +30,9 @@ pub struct Medium {
 
 impl Medium {
     /// As many planes cut one volume.
-    pub const MAX_CLIP_PLANES: usize = 8;
+    pub const MAX_CLIP_PLANES: usize = holovol_scene::SceneFile::MAX_CLIP_PLANES;
 
-    /// That of a scene; no planes.
+    /// That of a scene.
     pub fn from_scene(scene: &Scene) -> Self {
         Self {
             window: scene.window,
@@ -41,7 +41,7 @@ impl Medium {
             phase_g: scene.phase_g,
             gradient_factor: scene.gradient_factor,
             max_scatters: scene.integrator.max_scatters,
-            clip_planes: Vec::new(),
+            clip_planes: scene.clip_planes.clone(),
             environment_rotation_y: scene.environment.rotation_y,
             environment_scale: scene.environment.scale,
         }

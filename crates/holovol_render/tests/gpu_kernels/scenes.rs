@@ -126,6 +126,7 @@ pub fn scene() -> Scene {
             width: 24,
             height: 20,
         },
+        clip_planes: Vec::new(),
         integrator: Integrator {
             max_scatters: Some(3),
         },

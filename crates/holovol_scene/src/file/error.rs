@@ -164,7 +164,6 @@ impl SceneError {
 fn unsupported_part(text: &str) -> Option<&'static str> {
     let value: serde_json::Value = serde_json::from_str(text).ok()?;
     let parts = [
-        ("/clip", "clip"),
         ("/volumes", "volumes"),
         ("/labels", "labels"),
         ("/integrator/model", "integrator.model"),

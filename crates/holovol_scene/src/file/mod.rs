@@ -35,6 +35,10 @@ pub struct SceneFile {
     /// k of the gradient surface, ≥ 0; 0 turns it off.
     #[serde(default)]
     pub gradient_factor: f64,
+    /// Planes `[nx, ny, nz, w]` in world space, at most [`Self::MAX_CLIP_PLANES`]: what lies at
+    /// n·x + w < 0 is left out.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub clip: Vec<[f64; 4]>,
     /// Where light comes from.
     pub environment: EnvironmentEntry,
     /// The view.
@@ -242,6 +246,8 @@ fn y_axis() -> [f64; 3] {
 }
 
 impl SceneFile {
+    /// As many planes cut a volume.
+    pub const MAX_CLIP_PLANES: usize = 8;
     /// The version of the format that this crate reads and writes.
     pub const VERSION: u32 = 1;
     /// Largest |g|: f32 kernels lose the lobe beyond.

@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use glam::{DMat4, DVec3};
+use glam::{DMat4, DVec3, DVec4};
 use holovol_light::EnvironmentMap;
 use holovol_volume::{Progress, ReadOptions, TransferFunction, Volume};
 
@@ -260,6 +260,7 @@ impl Sequence {
                 .clone(),
             phase_g: self.file.phase_g,
             gradient_factor: self.file.gradient_factor,
+            clip_planes: self.file.clip.iter().copied().map(DVec4::from).collect(),
             environment: Environment {
                 map: map.clone(),
                 rotation_y: rotation_y_deg.to_radians(),

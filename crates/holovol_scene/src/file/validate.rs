@@ -42,6 +42,7 @@ impl SceneFile {
             0.0..=1e9,
             "0 turns the surface off",
         )?;
+        validate_planes(&self.clip)?;
         self.environment.validate("environment")?;
         self.camera.resolve()?;
         if let Some(stereo) = self.stereo {
@@ -83,6 +84,37 @@ impl SceneFile {
         }
         notices
     }
+}
+
+fn validate_planes(planes: &[[f64; 4]]) -> Result<(), SceneError> {
+    if planes.len() > SceneFile::MAX_CLIP_PLANES {
+        return Err(SceneError::field(
+            "clip",
+            format!(
+                "{} planes are too many; at most {} cut a volume",
+                planes.len(),
+                SceneFile::MAX_CLIP_PLANES
+            ),
+        ));
+    }
+    for (index, plane) in planes.iter().enumerate() {
+        let range = -SceneFile::MAX_COORDINATE..=SceneFile::MAX_COORDINATE;
+        for (part, value) in plane.iter().enumerate() {
+            let field = format!("clip[{index}][{part}]");
+            in_range(&field, *value, range.clone(), "a plane is [nx, ny, nz, w]")?;
+        }
+        let [x, y, z, _] = *plane;
+        // Its square is a normal number still.
+        if DVec3::new(x, y, z).length() < 1e-100 {
+            return Err(SceneError::field(
+                format!("clip[{index}]"),
+                format!(
+                    "{plane:?} has no normal; expected [nx, ny, nz, w], what lies at n·x + w < 0 is left out"
+                ),
+            ));
+        }
+    }
+    Ok(())
 }
 
 impl VolumeEntry {

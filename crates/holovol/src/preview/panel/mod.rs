@@ -161,17 +161,11 @@ impl Shown<'_, '_> {
         let map = self.map();
         let source = &look.light.source;
         let outcome = scene_io::save(file, scan, source, map.as_ref(), &path).map(|files| {
-            let is_cut = !look.clip_planes(scan.world_from_unit_cube()).is_empty();
             let beside = match files.len() {
                 1 => "",
                 _ => ", with the files that it needs beside it",
             };
-            let left_out = if is_cut {
-                "; cuts are not kept in scene files"
-            } else {
-                ""
-            };
-            format!("{} is written{beside}{left_out}", path.display())
+            format!("{} is written{beside}", path.display())
         });
         self.tell(outcome);
     }
@@ -202,7 +196,6 @@ impl Shown<'_, '_> {
             scene: scene_io::scene_file(look, scan, &view),
             volume: scan.volume().clone(),
             map,
-            clip_planes: look.clip_planes(scan.world_from_unit_cube()),
             pictures,
             samples: panel.samples,
         };
