@@ -7,7 +7,7 @@ use glam::DVec3;
 use holovol_reference::{Settings, Tracer};
 
 use crate::app::*;
-use crate::scenes::{reference_scene_files, small_scene_files, stage};
+use crate::scenes::{measures, offline, reference_scene_files, small_scene_files, stage};
 
 pub const TESTS: &[crate::Test] = &[
     (
@@ -237,13 +237,16 @@ fn compare_with_square(path: &std::path::Path) {
         spp: SAMPLES,
         ..default()
     };
-    let tracer = Tracer::new(&scene, &settings)
-        .expect("a scene")
-        .with_camera_ray_end(distance);
-    let mut film = tracer.film();
-    tracer.accumulate(&mut film, SAMPLES);
-    let truth: Vec<_> = film.means().zip(film.variances()).collect();
-    drop(tracer);
+    let film = |tracer: Tracer| {
+        let mut film = tracer.film();
+        tracer.accumulate(&mut film, SAMPLES);
+        film.image().pixels().to_vec()
+    };
+    let whole = film(Tracer::new(&scene, &settings).expect("a scene"));
+    let tracer = Tracer::new(&scene, &settings).expect("a scene");
+    let truth = film(tracer.with_camera_ray_end(distance));
+    let gpu = holovol_render::Gpu::new(None).expect("an adapter");
+    let (_, noise) = measures(&offline(&gpu, &scene, 3, SAMPLES), &whole);
 
     let (mut app, target) = stage(scene, SAMPLES);
     let mesh = app
@@ -272,31 +275,30 @@ fn compare_with_square(path: &std::path::Path) {
     assert!(statistics(&app).depth_passes > 0, "the mesh is inside");
     let picture = read(&mut app, &target);
 
-    // Squares of deviations over their variances, where the square's edge is not in the pixel.
-    let (mut chi_square, mut count, mut behind) = (0.0, 0, 0);
-    let (mut sum, mut true_sum) = (0.0, 0.0);
-    for (index, ((mean, variance), found)) in truth.iter().zip(&picture.pixels).enumerate() {
+    // Where the square's edge is not in the pixel.
+    let (mut ours, mut theirs, mut behind) = (Vec::new(), Vec::new(), 0);
+    for (index, (truth, found)) in truth.iter().zip(&picture.pixels).enumerate() {
         let corner = [index as u32 % SIZE, index as u32 / SIZE].map(f64::from);
         let hits = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
             .map(|[x, y]| distance(ray(corner[0] + x, corner[1] + y)).is_finite());
-        if hits != [hits[0]; 4] {
-            continue;
-        }
-        behind += usize::from(hits[0]);
-        for c in 0..3 {
-            let (found, mean) = (f64::from(found[c]), mean[c]);
-            sum += found;
-            true_sum += mean;
-            // Both have about this variance; where no sample met anything, that of one that did.
-            let floor = (2e-3 * mean + 1e-4 / f64::from(SAMPLES)).powi(2);
-            chi_square += (found - mean).powi(2) / (2.0 * variance[c] + floor);
-            count += 1;
+        if hits == [hits[0]; 4] {
+            behind += usize::from(hits[0]);
+            ours.push(*found);
+            theirs.push(*truth);
         }
     }
+    let (mean, error) = measures(&ours, &theirs);
+    let drift = mean / measures(&theirs, &theirs).0 - 1.0;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let (spread, drift) = (chi_square / f64::from(count), sum / true_sum - 1.0);
-    eprintln!("{name}: {behind} pixels of the square, spread {spread:.3}, mean off by {drift:.2e}");
+    eprintln!(
+        "{name}: {behind} pixels of the square, mean off by {drift:.2e}, relMSE {error:.3e} \
+         ({noise:.3e} without the square)"
+    );
     assert!(behind > 20, "{name}: the square is seen");
-    assert!(spread < 1.6, "{name}: deviations are {spread} times noise");
-    assert!(drift.abs() < 0.03, "{name}: mean off by {drift}");
+    assert!(drift.abs() < 0.02, "{name}: mean off by {drift}");
+    // With it less is seen of the volume, and its noise.
+    assert!(
+        error < 1.5 * noise + 1e-5,
+        "{name}: relMSE {error} where {noise} is noise"
+    );
 }

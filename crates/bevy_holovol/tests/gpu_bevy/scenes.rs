@@ -39,7 +39,7 @@ fn scene_files(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-fn offline(gpu: &Gpu, scene: &Scene, seed: u64, samples: u32) -> Vec<[f32; 4]> {
+pub fn offline(gpu: &Gpu, scene: &Scene, seed: u64, samples: u32) -> Vec<[f32; 4]> {
     let options = TraceOptions { seed, ..default() };
     let mut tracer = Tracer::new(gpu, scene, &options).expect("a scene");
     tracer.accumulate(samples).expect("samples");
@@ -95,7 +95,7 @@ fn in_bevy(scene: Scene) -> Vec<[f32; 4]> {
 }
 
 /// (mean, relMSE against b's long render) of radiance.
-fn measures(image: &[[f32; 4]], truth: &[[f32; 4]]) -> (f64, f64) {
+pub fn measures(image: &[[f32; 4]], truth: &[[f32; 4]]) -> (f64, f64) {
     let count = (3 * image.len()) as f64;
     let pairs = || {
         image
