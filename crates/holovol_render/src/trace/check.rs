@@ -117,7 +117,8 @@ mod tests {
     fn options_without_a_kernel_are_refused() {
         let fine = TraceOptions::default();
         assert!(options(&fine).is_ok());
-        let wrong: [(&str, fn(&mut TraceOptions)); 6] = [
+        type Spoil = fn(&mut TraceOptions);
+        let wrong: [(&str, Spoil); 6] = [
             ("picks", |o| o.picks = 0),
             ("picks", |o| o.picks = 5),
             ("light_candidates", |o| o.light_candidates = Some([0, 0])),
