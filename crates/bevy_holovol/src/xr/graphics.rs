@@ -5,6 +5,8 @@
 //! [`Api`] and one more variant: device from the LUID that the runtime names, import of
 //! `ID3D12Resource`s through wgpu-hal.
 
+// wgpu has no Vulkan on Apple's systems, nor have they OpenXR runtimes.
+#[cfg(not(target_vendor = "apple"))]
 mod vulkan;
 
 use bevy::render::render_resource::TextureFormat;
@@ -38,14 +40,22 @@ pub(crate) struct DeviceParts {
 /// The device in use, as the runtime knows it.
 #[derive(Clone)]
 pub(crate) enum GraphicsApi {
+    #[cfg(not(target_vendor = "apple"))]
     Vulkan(vulkan::Handles),
 }
 
 impl GraphicsApi {
     /// Opens the device that the runtime wants.
     pub(crate) fn open_device(runtime: &Runtime) -> Result<(Self, DeviceParts), HeadsetError> {
-        let (handles, parts) = vulkan::open_device(runtime)?;
-        Ok((Self::Vulkan(handles), parts))
+        #[cfg(not(target_vendor = "apple"))]
+        {
+            let (handles, parts) = vulkan::open_device(runtime)?;
+            Ok((Self::Vulkan(handles), parts))
+        }
+        #[cfg(target_vendor = "apple")]
+        Err(HeadsetError::NoVulkan {
+            runtime: runtime.name.clone(),
+        })
     }
 
     /// A session on the device in use, which must be the one that the runtime wants.
@@ -55,8 +65,9 @@ impl GraphicsApi {
         device: &wgpu::Device,
         size: [u32; 2],
     ) -> Result<OpenSession, HeadsetError> {
-        match self {
-            Self::Vulkan(handles) => {
+        match *self {
+            #[cfg(not(target_vendor = "apple"))]
+            Self::Vulkan(ref handles) => {
                 let (session, waiter, stream) = handles.create_session(runtime, device)?;
                 OpenSession::new(session, waiter, stream, device, size)
             }
