@@ -14,6 +14,8 @@ mod demo;
 mod failure;
 mod info;
 mod interrupt;
+#[cfg(feature = "preview")]
+mod kinds;
 mod light;
 mod live;
 mod output;

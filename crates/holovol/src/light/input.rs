@@ -15,6 +15,12 @@ pub(crate) struct Linear {
     pub(crate) width: usize,
     pub(crate) height: usize,
     pub(crate) texels: Vec<[f32; 3]>,
+    /// Its file holds radiance, not codes.
+    #[cfg_attr(
+        not(feature = "preview"),
+        expect(dead_code, reason = "panoramas of the preview")
+    )]
+    pub(crate) is_linear: bool,
     /// Whether values above 1 are light rather than overflow.
     pub(crate) hdr: bool,
     /// What its user should know.
@@ -54,6 +60,7 @@ pub(crate) fn linear(path: &Path, response: &Response) -> Result<Linear, Failure
             width: map.width(),
             height: map.height(),
             texels: map.texels().to_vec(),
+            is_linear,
             hdr,
             notes,
         });
@@ -82,6 +89,7 @@ pub(crate) fn linear(path: &Path, response: &Response) -> Result<Linear, Failure
         width,
         height,
         texels,
+        is_linear,
         hdr: false,
         notes,
     })

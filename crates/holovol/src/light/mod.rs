@@ -1,6 +1,8 @@
 //! `holovol light`: LDR panoramas to HDR light.
 
 pub(crate) mod input;
+#[cfg(feature = "preview")]
+mod panorama;
 pub(crate) mod preview;
 pub(crate) mod stitch;
 
@@ -19,6 +21,8 @@ use serde::Serialize;
 use crate::cli::LightArgs;
 use crate::{Exit, Failure, output, print_json};
 use input::Linear;
+#[cfg(feature = "preview")]
+pub(crate) use panorama::{Panorama, panorama};
 
 /// What `light` reports.
 #[derive(Serialize)]

@@ -4,6 +4,7 @@ use bevy::input::gestures::PinchGesture;
 use bevy::input::mouse::{AccumulatedMouseMotion, MouseScrollUnit, MouseWheel};
 use bevy::prelude::*;
 use bevy_egui::input::{egui_wants_any_keyboard_input, egui_wants_any_pointer_input};
+use serde::{Deserialize, Serialize};
 
 pub(crate) struct CameraPlugin;
 
@@ -32,7 +33,7 @@ const FLY_SPEED: f32 = 0.6;
 const MAX_PITCH: f32 = 1.55;
 
 /// A camera that looks at a point from a distance.
-#[derive(Component, Clone, Copy, Debug, PartialEq)]
+#[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Orbit {
     pub(crate) target: Vec3,
     pub(crate) distance: f32,
@@ -40,9 +41,14 @@ pub(crate) struct Orbit {
     pub(crate) yaw: f32,
     /// Radians above the horizon.
     pub(crate) pitch: f32,
+    /// About the direction of view, radians; 0 has +y upwards.
+    #[serde(default)]
+    pub(crate) roll: f32,
     /// Dragging turns the head instead of the scan.
+    #[serde(skip)]
     pub(crate) flies: bool,
     /// Where the home key goes.
+    #[serde(skip)]
     pub(crate) home: Home,
 }
 
@@ -50,19 +56,32 @@ pub(crate) struct Orbit {
 pub(crate) struct Home {
     pub(crate) target: Vec3,
     pub(crate) eye: Vec3,
+    pub(crate) up: Vec3,
+}
+
+impl Default for Home {
+    fn default() -> Self {
+        Self {
+            target: Vec3::ZERO,
+            eye: Vec3::new(0.3, 0.1, 0.6),
+            up: Vec3::Y,
+        }
+    }
 }
 
 impl Default for Orbit {
     fn default() -> Self {
-        Self::looking(Vec3::ZERO, Vec3::new(0.3, 0.1, 0.6))
+        let Home { target, eye, up } = Home::default();
+        Self::looking(target, eye, up)
     }
 }
 
 impl Orbit {
-    pub(crate) fn looking(target: Vec3, eye: Vec3) -> Self {
+    /// Looks at `target` from `eye`, with `up` in the upper half of the picture's middle line.
+    pub(crate) fn looking(target: Vec3, eye: Vec3, up: Vec3) -> Self {
         let from = eye - target;
         let distance = from.length().max(1e-6);
-        Self {
+        let mut orbit = Self {
             target,
             distance,
             yaw: from.x.atan2(from.z),
@@ -70,17 +89,26 @@ impl Orbit {
                 .clamp(-1.0, 1.0)
                 .asin()
                 .clamp(-MAX_PITCH, MAX_PITCH),
+            roll: 0.0,
             flies: false,
-            home: Home { target, eye },
+            home: Home { target, eye, up },
+        };
+        let level = orbit.rotation();
+        let [right, above] = [level * Vec3::X, level * Vec3::Y].map(|axis| up.dot(axis));
+        if right.abs() > 1e-5 * up.length() {
+            orbit.roll = (-right).atan2(above);
         }
+        orbit
     }
 
     pub(crate) fn go_home(&mut self) {
-        *self = Self::looking(self.home.target, self.home.eye);
+        *self = Self::looking(self.home.target, self.home.eye, self.home.up);
     }
 
     fn rotation(&self) -> Quat {
-        Quat::from_rotation_y(self.yaw) * Quat::from_rotation_x(-self.pitch)
+        Quat::from_rotation_y(self.yaw)
+            * Quat::from_rotation_x(-self.pitch)
+            * Quat::from_rotation_z(self.roll)
     }
 
     pub(crate) fn transform(&self) -> Transform {
@@ -94,6 +122,8 @@ impl Orbit {
 
     fn turn(&mut self, delta: Vec2) {
         let eye = self.transform().translation;
+        // What is dragged follows the hand, also in a picture that stands askew.
+        let delta = Vec2::from_angle(-self.roll).rotate(delta);
         self.yaw -= TURN * delta.x;
         self.pitch = (self.pitch + TURN * delta.y).clamp(-MAX_PITCH, MAX_PITCH);
         if self.flies {
@@ -216,10 +246,34 @@ mod tests {
             Vec3::Z,
         ] {
             let target = Vec3::new(0.1, 0.2, -0.3);
-            let pose = Orbit::looking(target, eye).transform();
-            assert!(pose.translation.distance(eye) < 1e-5, "{pose:?}");
-            let expected = Transform::from_translation(eye).looking_at(target, Vec3::Y);
-            assert!(pose.rotation.angle_between(expected.rotation) < 1e-3);
+            for up in [Vec3::Y, Vec3::new(0.7, 0.4, 0.2), Vec3::new(0.1, -1.0, 0.0)] {
+                let pose = Orbit::looking(target, eye, up).transform();
+                assert!(pose.translation.distance(eye) < 1e-5, "{pose:?}");
+                let expected = Transform::from_translation(eye).looking_at(target, up);
+                assert!(
+                    pose.rotation.angle_between(expected.rotation) < 1e-3,
+                    "{up}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_drag_to_the_right_takes_the_scan_to_the_right_however_the_head_is_held() {
+        for up in [Vec3::Y, Vec3::X, -Vec3::Y] {
+            let mut orbit = Orbit::looking(Vec3::ZERO, Vec3::new(0.1, 0.05, 1.0), up);
+            // A point of the scan in front of the camera.
+            let point = orbit.rotation() * Vec3::Z * 0.1;
+            orbit.turn(Vec2::new(30.0, 0.0));
+            let seen = orbit
+                .transform()
+                .compute_affine()
+                .inverse()
+                .transform_point3(point);
+            assert!(
+                seen.x > 0.005 && seen.y.abs() < 0.2 * seen.x,
+                "{up}: {seen}"
+            );
         }
     }
 

@@ -29,6 +29,8 @@ pub(crate) const WIDTH: usize = 128;
 pub(crate) const HEIGHT: usize = 64;
 /// Times the mean from which on a place counts as a light.
 const BRIGHT: f64 = 6.0;
+/// What chalk in the brightest light is exposed to.
+const WHITE: f64 = 0.9;
 /// Of all light, that a place must give to be told of.
 const SHARE_MIN: f64 = 0.01;
 
@@ -76,6 +78,33 @@ impl Overview {
         let exposure = 0.35 / self.mean.max(1e-9);
         let develop = |texel: &[f64; 3]| texel.map(|c| encode_srgb(soft(c * exposure)));
         self.texels.iter().map(develop).collect()
+    }
+
+    /// Stops by which a camera makes chalk that faces the light show just below white.
+    pub(crate) fn exposure_ev(&self) -> f64 {
+        let sources = self.sources();
+        let steps = || [-1.0, 0.0, 1.0].into_iter();
+        let normals = steps()
+            .flat_map(|x| steps().flat_map(move |y| steps().map(move |z| DVec3::new(x, y, z))))
+            .filter_map(DVec3::try_normalize);
+        let brightest = normals
+            .map(|normal| luminance(lit(&sources, normal)))
+            .fold(0.0, f64::max);
+        if brightest > 0.0 {
+            (WHITE / brightest).log2().clamp(-24.0, 24.0)
+        } else {
+            0.0
+        }
+    }
+
+    /// Directions with power, without those that hardly give any.
+    fn sources(&self) -> Vec<(DVec3, [f64; 3])> {
+        self.texels
+            .iter()
+            .enumerate()
+            .map(|(i, texel)| (direction(i), texel.map(|c| c * solid_angle(i / WIDTH))))
+            .filter(|(_, power)| luminance(*power) > 1e-4 * self.mean * solid_angle(HEIGHT / 2))
+            .collect()
     }
 
     /// Bright places, the strongest first.
@@ -130,13 +159,7 @@ impl Overview {
         let map_from_world =
             |d: DVec3| DVec3::new(cos * d.x - sin * d.z, d.y, sin * d.x + cos * d.z);
         // Coarser still: irradiance is smooth.
-        let sources: Vec<(DVec3, [f64; 3])> = self
-            .texels
-            .iter()
-            .enumerate()
-            .map(|(i, texel)| (direction(i), texel.map(|c| c * solid_angle(i / WIDTH))))
-            .filter(|(_, power)| luminance(*power) > 1e-4 * self.mean * solid_angle(HEIGHT / 2))
-            .collect();
+        let sources = self.sources();
         let pixel = |index: usize| {
             let [x, y] =
                 [index % size, index / size].map(|i| 2.0 * (i as f64 + 0.5) / size as f64 - 1.0);
@@ -149,15 +172,7 @@ impl Overview {
                 let seen = 2.0 * normal.z * normal - DVec3::Z;
                 self.look_up(map_from_world(seen))
             } else {
-                let normal = map_from_world(normal);
-                let mut sum = [0.0; 3];
-                for (direction, power) in &sources {
-                    let cosine = normal.dot(*direction).max(0.0) / PI;
-                    for (sum, c) in sum.iter_mut().zip(power) {
-                        *sum += c * cosine;
-                    }
-                }
-                sum
+                lit(&sources, map_from_world(normal))
             };
             let [r, g, b] = light.map(|c| encode_srgb(soft(c * exposure)));
             [r, g, b, 255]
@@ -171,6 +186,18 @@ impl Overview {
         let y = ((v * HEIGHT as f64) as usize).min(HEIGHT - 1);
         self.texels[x + WIDTH * y]
     }
+}
+
+/// Radiance of chalk with this normal.
+fn lit(sources: &[(DVec3, [f64; 3])], normal: DVec3) -> [f64; 3] {
+    let mut sum = [0.0; 3];
+    for (direction, power) in sources {
+        let cosine = normal.dot(*direction).max(0.0) / PI;
+        for (sum, c) in sum.iter_mut().zip(power) {
+            *sum += c * cosine;
+        }
+    }
+    sum
 }
 
 /// Rolls off towards 1, so that lamps keep a colour.
@@ -211,6 +238,24 @@ mod tests {
                 .lights()
                 .is_empty()
         );
+    }
+
+    #[test]
+    fn a_room_is_exposed_by_what_it_gives_in_its_brightest_direction() {
+        let uniform = Overview::new(&EnvironmentMap::constant([4.0; 3]));
+        let expected = (0.9f64 / 4.0).log2();
+        assert!((uniform.exposure_ev() - expected).abs() < 0.01);
+        // 500 · 2π · 0.01 / π and 0.1.
+        let lamp = Overview::new(&room(DVec3::X));
+        let expected = (0.9f64 / 10.1).log2();
+        assert!(
+            // The lamp is a dozen texels across: so much hangs on its edge.
+            (lamp.exposure_ev() - expected).abs() < 0.15,
+            "{}",
+            lamp.exposure_ev()
+        );
+        let black = Overview::new(&EnvironmentMap::constant([0.0; 3]));
+        assert_eq!(black.exposure_ev(), 0.0);
     }
 
     #[test]

@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
+use bevy::camera::Exposure;
 use bevy::prelude::{Handle, Quat, Transform, Vec3};
+use bevy_holovol::environment::DEFAULT_INTENSITY;
 use bevy_holovol::prelude::{EnvironmentAsset, VolumeMedium};
 use glam::{DMat4, DVec3, DVec4};
 use holovol_volume::{TransferFunction, TransferFunctionFile, TransferPoint};
@@ -24,6 +26,8 @@ pub(crate) struct Look {
     pub(crate) gradient_factor: f64,
     pub(crate) phase_g: f64,
     pub(crate) light: Light,
+    /// Of the camera: radiance is multiplied by 2 to this to be shown.
+    pub(crate) exposure_ev: f64,
     pub(crate) max_scatters: Option<u32>,
     pub(crate) planes: Vec<Plane>,
     pub(crate) crop: Crop,
@@ -136,6 +140,7 @@ impl Default for Look {
                 stops: 0.0,
                 is_sky: true,
             },
+            exposure_ev: 0.0,
             max_scatters: Some(1),
             planes: Vec::new(),
             crop: Crop::default(),
@@ -216,8 +221,16 @@ impl Look {
         planes
     }
 
+    /// The camera's setting for [`Self::exposure_ev`], in Bevy's terms.
+    pub(crate) fn exposure(&self) -> Exposure {
+        let factor = self.exposure_ev.exp2() / f64::from(DEFAULT_INTENSITY);
+        Exposure {
+            ev100: -(1.2 * factor).log2() as f32,
+        }
+    }
+
     pub(crate) fn intensity(&self) -> f32 {
-        bevy_holovol::environment::DEFAULT_INTENSITY * (self.light.stops as f32).exp2()
+        DEFAULT_INTENSITY * (self.light.stops as f32).exp2()
     }
 }
 

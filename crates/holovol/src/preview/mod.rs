@@ -112,7 +112,8 @@ pub(crate) fn app(
             ..default()
         })
         .set(LogPlugin {
-            filter: "warn,bevy_render::renderer=error".into(),
+            // Not what concerns only those who write such programs.
+            filter: "warn,bevy_render::renderer=error,bevy_asset::io=error,winit=error".into(),
             ..default()
         });
     app.add_plugins((adapt(plugins), EguiPlugin::default(), HolovolPlugins))

@@ -11,15 +11,18 @@ use bevy_holovol::SceneParts;
 use bevy_holovol::environment::DEFAULT_INTENSITY;
 use bevy_holovol::prelude::*;
 use holovol_light::EnvironmentMap;
-use holovol_scene::{Scene, SceneFile};
-use holovol_volume::TransferFunctionFile;
+use holovol_scene::{Background, Scene, SceneFile};
+use holovol_volume::{Content, ReadOptions, TransferFunctionFile, VolumeError};
 
 use super::camera::Orbit;
+use super::lights::Overview;
 use super::look::{Light, LightSource, Look, Plane};
 use super::settings::Settings;
 use super::studio::{Scan, Studio};
 use super::{FirstFiles, Session, Status};
 use crate::demo;
+use crate::kinds::FileKind;
+use crate::light::{self, Panorama};
 
 pub(crate) struct OpenPlugin;
 
@@ -36,8 +39,25 @@ impl Plugin for OpenPlugin {
 pub(crate) struct Opening {
     /// What the program makes itself, before all else.
     own: Option<Own>,
-    waiting: Vec<PathBuf>,
+    waiting: Vec<Wish>,
     reading: Option<Reading>,
+    /// A file of several volumes, until one of them is chosen.
+    pub(crate) choosing: Option<Choosing>,
+}
+
+/// A file or folder to open, and which of its volumes.
+#[derive(Clone)]
+struct Wish {
+    path: PathBuf,
+    choice: Option<String>,
+}
+
+/// What a person is asked.
+pub(crate) struct Choosing {
+    pub(crate) path: PathBuf,
+    /// What there are several of: series, grids.
+    pub(crate) what: &'static str,
+    pub(crate) contents: Vec<Content>,
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -80,7 +100,8 @@ enum Opened {
     Scene(Box<OpenedScene>),
     Volume(Box<Scan>),
     TransferFunction(TransferFunctionFile),
-    Environment(EnvironmentMap, Option<PathBuf>),
+    Environment(Box<OpenedLight>),
+    Choosing(Choosing),
     /// The light for scans that come without one.
     Room(EnvironmentMap),
 }
@@ -89,6 +110,8 @@ struct OpenedScene {
     parts: SceneParts,
     scan: Scan,
     light: Option<PathBuf>,
+    exposure_ev: f64,
+    is_sky: bool,
 }
 
 impl OpenedScene {
@@ -99,18 +122,52 @@ impl OpenedScene {
             parts,
             scan,
             light: None,
+            exposure_ev: 0.0,
+            is_sky: true,
         }
     }
+}
+
+struct OpenedLight {
+    panorama: Panorama,
+    /// What shows chalk in it just below white.
+    exposure_ev: f64,
+    /// Its file, if that holds the light itself.
+    path: Option<PathBuf>,
 }
 
 impl Opening {
     /// Reads a file or folder once those before it are read.
     pub(crate) fn open(&mut self, path: PathBuf) {
-        self.waiting.push(path);
+        self.waiting.push(Wish { path, choice: None });
+    }
+
+    /// Asks which of the volumes of a file is wanted, also where one is read without asking.
+    pub(crate) fn ask(&mut self, path: PathBuf) {
+        self.begin(file_name(&path), move |_| {
+            let contents = holovol_volume::contents(&path, &ReadOptions::default())
+                .map_err(|error| error.to_string())?;
+            Ok(Opened::Choosing(Choosing {
+                path,
+                what: "volumes",
+                contents,
+            }))
+        });
+    }
+
+    /// Reads the volume of this number, from 1, of the file that is asked about.
+    pub(crate) fn choose(&mut self, number: usize) {
+        if let Some(choosing) = self.choosing.take() {
+            self.waiting.push(Wish {
+                path: choosing.path,
+                choice: Some(number.to_string()),
+            });
+        }
     }
 
     pub(crate) fn is_busy(&self) -> bool {
-        self.reading.is_some() || !self.waiting.is_empty() || self.own.is_some()
+        let waits = self.choosing.is_none() && !self.waiting.is_empty();
+        self.reading.is_some() || waits || self.own.is_some()
     }
 
     /// Name of what is being read, and the part of it that is (0 … 1), if that is known.
@@ -141,45 +198,72 @@ impl Opening {
 }
 
 /// What a name says of its file; the readers themselves go by content.
-fn read(path: &Path, told: &[AtomicU64; 2]) -> Result<Opened, String> {
-    let name = path.to_string_lossy().to_lowercase();
+fn read(wish: Wish, told: &[AtomicU64; 2]) -> Result<Opened, String> {
+    let path = wish.path.as_path();
     let progress = &mut |progress: holovol_volume::Progress| {
         told[0].store(progress.bytes, Ordering::Relaxed);
         told[1].store(progress.total_bytes, Ordering::Relaxed);
     };
-    if name.ends_with(".tf.json") {
-        let file = TransferFunctionFile::load(path).map_err(|error| error.to_string())?;
-        Ok(Opened::TransferFunction(file))
-    } else if name.ends_with(".json") {
-        let scene = holovol_scene::load(path, progress).map_err(|error| error.to_string())?;
-        let file = SceneFile::read(path).map_err(|error| error.to_string())?;
-        let base = path.parent().unwrap_or(Path::new(""));
-        let mut opened = OpenedScene::new(scene);
-        opened.scan.path = Some(base.join(&file.volume.path));
-        opened.scan.choice = file.volume.choice;
-        opened.light = file.environment.path.map(|light| base.join(light));
-        Ok(Opened::Scene(Box::new(opened)))
-    } else if name.ends_with(".hdr") || name.ends_with(".exr") {
-        let map = EnvironmentMap::load(path).map_err(|error| error.to_string())?;
-        Ok(Opened::Environment(map, Some(path.into())))
-    } else {
-        let volume = holovol_volume::open(path, progress).map_err(|error| error.to_string())?;
-        let mut scan = Scan::new(VolumeAsset::new(volume));
-        scan.path = Some(path.into());
-        Ok(Opened::Volume(Box::new(scan)))
+    match FileKind::of(path) {
+        FileKind::TransferFunction => {
+            let file = TransferFunctionFile::load(path).map_err(|error| error.to_string())?;
+            Ok(Opened::TransferFunction(file))
+        }
+        FileKind::Scene => {
+            let scene = holovol_scene::load(path, progress).map_err(|error| error.to_string())?;
+            let file = SceneFile::read(path).map_err(|error| error.to_string())?;
+            let base = path.parent().unwrap_or(Path::new(""));
+            let overview = Overview::new(&scene.environment.map);
+            let scale = scene.environment.scale;
+            let mut opened = OpenedScene::new(scene);
+            opened.scan.path = Some(base.join(&file.volume.path));
+            opened.scan.choice = file.volume.choice;
+            opened.light = file.environment.path.map(|light| base.join(light));
+            if let Some(output) = &file.output {
+                opened.is_sky = output.background == Background::Environment;
+            }
+            let exposure = file.output.and_then(|output| output.exposure_ev);
+            let auto = || overview.exposure_ev() - scale.max(f64::MIN_POSITIVE).log2();
+            opened.exposure_ev = exposure.unwrap_or_else(auto);
+            Ok(Opened::Scene(Box::new(opened)))
+        }
+        FileKind::Panorama { is_hdr } => {
+            let panorama = light::panorama(path).map_err(|failure| failure.to_string())?;
+            Ok(Opened::Environment(Box::new(OpenedLight {
+                exposure_ev: Overview::new(&panorama.map).exposure_ev(),
+                panorama,
+                path: is_hdr.then(|| path.into()),
+            })))
+        }
+        FileKind::Volume => {
+            let mut options = ReadOptions::default();
+            options.choice.clone_from(&wish.choice);
+            let volume = match holovol_volume::open_with(path, &options, progress) {
+                Err(VolumeError::Choose { what, contents, .. }) => {
+                    return Ok(Opened::Choosing(Choosing {
+                        path: path.into(),
+                        what,
+                        contents,
+                    }));
+                }
+                result => result.map_err(|error| error.to_string())?,
+            };
+            let mut scan = Scan::new(VolumeAsset::new(volume));
+            scan.path = Some(path.into());
+            scan.choice = wish.choice;
+            Ok(Opened::Volume(Box::new(scan)))
+        }
     }
 }
 
 /// The files of the command line, or a phantom in a room.
 fn open_first(mut opening: ResMut<Opening>, files: Res<FirstFiles>) {
-    opening.waiting.clone_from(&files.0);
+    for path in &files.0 {
+        opening.open(path.clone());
+    }
     // A file of light or matter alone shows itself on the phantom.
-    let is_volume = |path: &PathBuf| {
-        let name = path.to_string_lossy().to_lowercase();
-        ![".tf.json", ".hdr", ".exr"]
-            .iter()
-            .any(|end| name.ends_with(end))
-    };
+    let is_volume =
+        |path: &PathBuf| matches!(FileKind::of(path), FileKind::Scene | FileKind::Volume);
     opening.own = Some(if files.0.iter().any(is_volume) {
         Own::Room
     } else {
@@ -207,11 +291,8 @@ fn finish(
     if frames.0 < FRAMES_FIRST {
         return;
     }
-    if opening
-        .reading
-        .as_ref()
-        .is_some_and(|r| !r.thread.is_finished())
-    {
+    let is_reading = |reading: &Reading| !reading.thread.is_finished();
+    if opening.reading.as_ref().is_some_and(is_reading) {
         return;
     }
     if let Some(reading) = opening.reading.take() {
@@ -223,6 +304,10 @@ fn finish(
             ))
         });
         match result {
+            Ok(Opened::Choosing(choosing)) if choosing.contents.len() < 2 => {
+                session.status = Some(Status::Done(format!("{name} holds one volume only")));
+            }
+            Ok(Opened::Choosing(choosing)) => opening.choosing = Some(choosing),
             Ok(opened) => {
                 show.show(&mut session, name, opened);
                 if let Some(path) = path {
@@ -234,12 +319,10 @@ fn finish(
     }
     if let Some(own) = opening.own.take() {
         opening.begin(own.name().into(), move |_| own.make());
-    } else if !opening.waiting.is_empty() {
-        let path = opening.waiting.remove(0);
-        let name = path.file_name().unwrap_or(path.as_os_str());
-        let name = name.to_string_lossy().into_owned();
-        let file = path.clone();
-        opening.begin(name, move |told| read(&file, told));
+    } else if opening.choosing.is_none() && !opening.waiting.is_empty() {
+        let wish = opening.waiting.remove(0);
+        let path = wish.path.clone();
+        opening.begin(file_name(&path), move |told| read(wish, told));
         if let Some(reading) = &mut opening.reading {
             reading.path = Some(path);
         }
@@ -285,14 +368,16 @@ impl Show<'_, '_> {
                         },
                         rotation_deg: f64::from(parts.rotation_y).to_degrees(),
                         stops: f64::from(stops),
-                        is_sky: true,
+                        is_sky: opened.is_sky,
                     },
+                    exposure_ev: opened.exposure_ev,
                     max_scatters: parts.settings.max_scatters,
                     points: function.transfer_function.points().to_vec(),
                     optical_depth_scale: function.optical_depth_scale,
                     ..Look::default()
                 };
-                let orbit = Orbit::looking(parts.target, parts.camera.translation);
+                let up = parts.camera.up().as_vec3();
+                let orbit = Orbit::looking(parts.target, parts.camera.translation, up);
                 self.begin(session, name, opened.scan, look);
                 self.place_camera(session, orbit, parts.projection.fov);
             }
@@ -302,27 +387,38 @@ impl Show<'_, '_> {
                     gradient_factor: 2.0,
                     // The light stays: this scan stands in the same room as the last.
                     light: self.studio.look.light.clone(),
+                    exposure_ev: self.studio.look.exposure_ev,
                     ..Look::default()
                 };
-                for notice in scan.volume().notices() {
-                    session.status = Some(Status::Done(notice.clone()));
-                }
+                let notices = scan.volume().notices();
+                session.status = (!notices.is_empty()).then(|| Status::Done(notices.join("\n")));
                 let distance = 3.4 * scan.radius() as f32;
                 let eye = Vec3::new(0.55, 0.25, 1.1).normalize() * distance;
                 let middle = scan.middle().as_vec3();
                 self.begin(session, name, *scan, look);
-                let orbit = Orbit::looking(middle, middle + eye);
+                let orbit = Orbit::looking(middle, middle + eye, Vec3::Y);
                 self.place_camera(session, orbit, std::f32::consts::FRAC_PI_4);
             }
             Opened::TransferFunction(file) => {
                 self.studio.look.set_transfer_function(&file);
                 session.status = Some(Status::Done(format!("{name} is the transfer function")));
             }
-            Opened::Environment(map, path) => {
-                self.light(map, path, name.clone());
-                session.status = Some(Status::Done(format!("{name} is the light")));
+            Opened::Environment(light) => {
+                self.light(light.panorama.map, light.path, name.clone());
+                let look = &mut self.studio.look;
+                look.exposure_ev = light.exposure_ev - look.light.stops;
+                let mut lines = vec![format!("{name} is the light")];
+                lines.extend(light.panorama.notes);
+                session.status = Some(Status::Done(lines.join("\n")));
             }
-            Opened::Room(map) => self.light(map, None, "demo room".into()),
+            Opened::Room(map) => {
+                self.light(map, None, "demo room".into());
+                // Nobody chose what was there before.
+                let studio = &mut *self.studio;
+                studio.history.begin(&studio.look);
+            }
+            // That is asked before.
+            Opened::Choosing(_) => {}
         }
     }
 

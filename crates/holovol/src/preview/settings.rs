@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use bevy::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::camera::Orbit;
+use super::studio::Scan;
 use crate::output;
 
 /// Kept as JSON in the user's configuration folder. Of files only paths are kept: names of
@@ -17,8 +19,25 @@ pub(crate) struct Settings {
     pub(crate) is_light: bool,
     /// Size of the panel: 1 is the desktop's.
     pub(crate) zoom: f32,
+    /// Of the scans looked at last, the last first.
+    bookmarks: Vec<Bookmarks>,
     #[serde(skip)]
     place: Option<PathBuf>,
+}
+
+/// Places to look at one scan from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Bookmarks {
+    /// Its file or folder; empty for what the program makes itself.
+    scan: PathBuf,
+    choice: Option<String>,
+    places: Vec<Bookmark>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Bookmark {
+    pub(crate) name: String,
+    pub(crate) place: Orbit,
 }
 
 impl Default for Settings {
@@ -27,12 +46,15 @@ impl Default for Settings {
             recent: Vec::new(),
             is_light: false,
             zoom: 1.0,
+            bookmarks: Vec::new(),
             place: None,
         }
     }
 }
 
 const RECENT_MAX: usize = 10;
+/// Scans whose bookmarks are kept.
+const BOOKMARKED_MAX: usize = 50;
 
 impl Settings {
     /// Those of this user; defaults if there are none or they can't be read.
@@ -71,12 +93,67 @@ impl Settings {
     }
 
     pub(crate) fn note_recent(&mut self, path: &Path) {
-        let path = std::path::absolute(path).unwrap_or_else(|_| path.into());
+        let path = absolute(Some(path));
         self.recent.retain(|other| *other != path);
         self.recent.insert(0, path);
         self.recent.truncate(RECENT_MAX);
         self.save();
     }
+
+    pub(crate) fn bookmarks(&self, scan: &Scan) -> &[Bookmark] {
+        let of_scan = self.bookmarks.iter().find(|found| found.is_of(scan));
+        of_scan.map_or(&[], |found| &found.places)
+    }
+
+    /// Keeps a place under the first number that is free.
+    pub(crate) fn add_bookmark(&mut self, scan: &Scan, place: Orbit) {
+        let found = self.bookmarks.iter().position(|found| found.is_of(scan));
+        let mut bookmarks = match found {
+            Some(index) => self.bookmarks.remove(index),
+            None => Bookmarks::of(scan),
+        };
+        let is_free = |name: &String| bookmarks.places.iter().all(|other| other.name != *name);
+        let name = (1..).map(|n| n.to_string()).find(is_free);
+        bookmarks.places.push(Bookmark {
+            name: name.unwrap_or_default(),
+            place,
+        });
+        self.bookmarks.insert(0, bookmarks);
+        self.bookmarks.truncate(BOOKMARKED_MAX);
+        self.save();
+    }
+
+    pub(crate) fn remove_bookmark(&mut self, scan: &Scan, index: usize) {
+        let found = self.bookmarks.iter_mut().find(|found| found.is_of(scan));
+        if let Some(found) = found
+            && index < found.places.len()
+        {
+            found.places.remove(index);
+        }
+        self.bookmarks.retain(|found| !found.places.is_empty());
+        self.save();
+    }
+}
+
+impl Bookmarks {
+    fn of(scan: &Scan) -> Self {
+        Self {
+            scan: absolute(scan.path.as_deref()),
+            choice: scan.choice.clone(),
+            places: Vec::new(),
+        }
+    }
+
+    fn is_of(&self, scan: &Scan) -> bool {
+        self.scan == absolute(scan.path.as_deref()) && self.choice == scan.choice
+    }
+}
+
+/// Also from another folder the same; empty where there is no file.
+fn absolute(path: Option<&Path>) -> PathBuf {
+    path.map_or_else(PathBuf::new, |path| {
+        std::path::absolute(path).unwrap_or_else(|_| path.into())
+    })
 }
 
 /// Where programs keep what they remember of this user.
@@ -114,6 +191,36 @@ mod tests {
             settings.note_recent(Path::new(&format!("/{n}")));
         }
         assert_eq!(settings.recent.len(), RECENT_MAX);
+    }
+
+    #[test]
+    fn bookmarks_belong_to_their_scan_and_survive() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = folder.path().join("preview.json");
+        let head = super::super::tests::blob();
+        let lung = Scan {
+            path: Some("/scans/lung".into()),
+            choice: Some("2".into()),
+            ..head.clone()
+        };
+        let orbit = Orbit::looking(Vec3::ZERO, Vec3::new(1.0, 2.0, 3.0), Vec3::X);
+        let mut settings = Settings::load_from(&place);
+        for _ in 0..3 {
+            settings.add_bookmark(&lung, orbit);
+        }
+        settings.remove_bookmark(&lung, 1);
+        settings.add_bookmark(&lung, Orbit::default());
+        let again = Settings::load_from(&place);
+        let names: Vec<&str> = again.bookmarks(&lung).iter().map(|b| &*b.name).collect();
+        assert_eq!(names, ["1", "3", "2"]);
+        let found = again.bookmarks(&lung)[0].place.transform();
+        assert_eq!(found, orbit.transform());
+        assert!(again.bookmarks(&head).is_empty());
+        let other = Scan {
+            choice: None,
+            ..lung.clone()
+        };
+        assert!(again.bookmarks(&other).is_empty());
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use bevy::camera::Exposure;
 use bevy::prelude::*;
 use bevy_holovol::prelude::*;
 use glam::{DMat4, DVec3};
@@ -109,7 +110,7 @@ pub(crate) fn apply(
     mut transfer_functions: ResMut<Assets<TransferFunctionAsset>>,
     mut environment: ResMut<VolumeEnvironment>,
     mut parts: Query<VolumeParts>,
-    mut cameras: Query<&mut VolumeRenderSettings>,
+    mut cameras: Query<(&mut VolumeRenderSettings, Option<&Exposure>)>,
     mut transforms: Query<&mut Transform, With<VolumeClipPlane>>,
 ) {
     let look = &studio.look;
@@ -142,10 +143,13 @@ pub(crate) fn apply(
         // There are no meshes here.
         lights_meshes: false,
     });
-    if let Ok(mut settings) = cameras.get_mut(session.camera)
-        && settings.max_scatters != look.max_scatters
-    {
-        settings.max_scatters = look.max_scatters;
+    if let Ok((mut settings, exposure)) = cameras.get_mut(session.camera) {
+        if settings.max_scatters != look.max_scatters {
+            settings.max_scatters = look.max_scatters;
+        }
+        if exposure.map(|exposure| exposure.ev100) != Some(look.exposure().ev100) {
+            commands.entity(session.camera).insert(look.exposure());
+        }
     }
     let planes = studio
         .scan

@@ -43,7 +43,7 @@ fn has_adapter() -> bool {
     found
 }
 
-fn blob() -> Scan {
+pub(super) fn blob() -> Scan {
     const N: usize = 12;
     let value = |index: usize| {
         let at = [index % N, index / N % N, index / (N * N)].map(|i| i as f64 - 5.5);
@@ -102,7 +102,11 @@ fn look(map: Handle<EnvironmentAsset>) -> Look {
 }
 
 fn orbit() -> Orbit {
-    Orbit::looking(Vec3::new(0.005, 0.0, 0.002), Vec3::new(0.12, 0.08, 0.25))
+    Orbit::looking(
+        Vec3::new(0.005, 0.0, 0.002),
+        Vec3::new(0.12, 0.08, 0.25),
+        Vec3::Y,
+    )
 }
 
 /// An app that shows the blob as the window's does, on an image; with that image.

@@ -38,6 +38,7 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
             shown.opening.open(path);
         }
     });
+    others(ui, shown);
     if panel.path.is_empty() {
         return;
     }
@@ -62,6 +63,35 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
             }
         }
     }
+}
+
+/// The file that is shown, and a way to what else is in it.
+fn others(ui: &mut egui::Ui, shown: &mut Shown) {
+    let Some(path) = shown
+        .studio
+        .scan
+        .as_ref()
+        .and_then(|scan| scan.path.clone())
+    else {
+        return;
+    };
+    ui.horizontal(|ui| {
+        let others = egui::Button::new("Others in it");
+        let is_free = !shown.opening.is_busy() && shown.opening.choosing.is_none();
+        let others = ui.add_enabled(is_free, others);
+        let name = path
+            .file_name()
+            .unwrap_or(path.as_os_str())
+            .to_string_lossy();
+        ui.add(egui::Label::new(name).truncate())
+            .on_hover_text(path.to_string_lossy());
+        if others
+            .on_hover_text("Series, grids, channels, times: what the file holds besides")
+            .clicked()
+        {
+            shown.opening.ask(path);
+        }
+    });
 }
 
 /// Files and folders whose paths begin so, sorted; hidden ones only if asked for.

@@ -4,7 +4,7 @@ use bevy_egui::egui::{self, Color32, ColorImage, Pos2, Rect, Sense, Stroke, Text
 use holovol_light::EnvironmentMap;
 
 use super::super::lights::{Bright, HEIGHT, Overview, WIDTH};
-use super::super::look::LightSource;
+use super::super::look::{Light, LightSource, Look};
 use super::{Panel, Shown as PanelShown};
 
 /// What has been drawn of the present light.
@@ -22,16 +22,19 @@ const BALL: usize = 56;
 
 pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut PanelShown) {
     refresh(ui, &mut panel.light, shown);
-    let light = &mut shown.studio.look.light;
+    let Look {
+        light, exposure_ev, ..
+    } = &mut shown.studio.look;
     ui.horizontal(|ui| {
         let name = match &light.source {
             LightSource::Constant(_) => "the same from everywhere",
             LightSource::Map { name, .. } => name,
         };
         ui.label(name)
-            .on_hover_text("Drop an .hdr or .exr panorama for another");
+            .on_hover_text("Drop a panorama for another: .hdr, .exr, or a picture, .png, .jpg");
         if ui.button("White").clicked() {
             light.source = LightSource::Constant([1.0; 3]);
+            *exposure_ev = -light.stops;
         }
         if let LightSource::Constant(rgb) = &mut light.source {
             ui.color_edit_button_rgb(rgb);
@@ -43,7 +46,9 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut PanelShown)
         ui.add(egui::Slider::new(&mut light.rotation_deg, -180.0..=180.0).suffix("°"));
         ui.end_row();
         ui.label("stops");
-        ui.add(egui::Slider::new(&mut light.stops, -8.0..=8.0));
+        ui.add(
+            egui::Slider::new(&mut light.stops, -8.0..=8.0).clamping(egui::SliderClamping::Never),
+        );
         ui.end_row();
     });
     ui.checkbox(&mut light.is_sky, "show it behind the scan");
@@ -99,6 +104,11 @@ fn refresh(ui: &egui::Ui, drawn: &mut Shown, shown: &PanelShown) {
 }
 
 impl Shown {
+    /// What shows chalk in the present map just below white; `None` before it has been looked at.
+    pub(super) fn exposure_ev(&self) -> Option<f64> {
+        self.overview.as_ref().map(Overview::exposure_ev)
+    }
+
     fn of(source: LightSource, map: &EnvironmentMap) -> Self {
         let overview = Overview::new(map);
         Self {
@@ -112,7 +122,7 @@ impl Shown {
 }
 
 /// The panorama as it stands in the room: dragging it turns the light.
-fn panorama(ui: &mut egui::Ui, drawn: &mut Shown, light: &mut super::super::look::Light) {
+fn panorama(ui: &mut egui::Ui, drawn: &mut Shown, light: &mut Light) {
     let (Some(panorama), Some((_, ball))) = (&drawn.panorama, &drawn.ball) else {
         return;
     };

@@ -53,15 +53,25 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
     }
     egui::Grid::new("matter").num_columns(2).show(ui, |ui| {
         ui.label("density");
-        ui.add(egui::Slider::new(&mut look.density, 0.01..=100.0).logarithmic(true));
+        ui.add(
+            egui::Slider::new(&mut look.density, 0.01..=100.0)
+                .logarithmic(true)
+                .clamping(egui::SliderClamping::Edits),
+        );
         ui.end_row();
         ui.label("surface")
             .on_hover_text("Shading like a surface where values change fast");
-        ui.add(egui::Slider::new(&mut look.gradient_factor, 0.0..=10.0));
+        ui.add(
+            egui::Slider::new(&mut look.gradient_factor, 0.0..=10.0)
+                .clamping(egui::SliderClamping::Edits),
+        );
         ui.end_row();
         ui.label("forward")
             .on_hover_text("Scattering: −1 backwards, 0 evenly, 1 forwards");
-        ui.add(egui::Slider::new(&mut look.phase_g, -0.95..=0.95));
+        ui.add(
+            egui::Slider::new(&mut look.phase_g, -0.95..=0.95)
+                .clamping(egui::SliderClamping::Edits),
+        );
         ui.end_row();
     });
 }

@@ -1,5 +1,6 @@
 //! The control panel, drawn over the scene: what it shows and how its parts fit together.
 
+mod choose;
 mod curve;
 mod cut;
 mod files;
@@ -58,11 +59,12 @@ pub(crate) struct Panel {
     light: light::Shown,
     pub(crate) slices: slice_views::SliceViews,
     pub(crate) overlay: overlay::Overlay,
-    bookmarks: Vec<(String, Orbit)>,
     /// Samples per pixel of pictures.
     samples: u32,
     turntable_frames: u32,
     shows_about: bool,
+    /// Pixels per point at which all glyphs have been drawn once.
+    glyphs_at: f32,
 }
 
 impl Default for Panel {
@@ -76,10 +78,10 @@ impl Default for Panel {
             light: light::Shown::default(),
             slices: slice_views::SliceViews::default(),
             overlay: overlay::Overlay::default(),
-            bookmarks: Vec::new(),
             samples: 256,
             turntable_frames: 36,
             shows_about: false,
+            glyphs_at: 0.0,
         }
     }
 }
@@ -231,6 +233,7 @@ fn draw(mut contexts: EguiContexts, mut panel: ResMut<Panel>, mut shown: Shown) 
     if shown.behind.0 != behind.0 {
         *shown.behind = behind;
     }
+    glyphs(&context, &mut panel.glyphs_at);
     if (context.zoom_factor() - shown.settings.zoom).abs() > 1e-3 {
         context.set_zoom_factor(shown.settings.zoom);
     }
@@ -252,6 +255,7 @@ fn draw(mut contexts: EguiContexts, mut panel: ResMut<Panel>, mut shown: Shown) 
     status::draw(&context, &mut shown);
     slice_views::draw(&context, panel, &mut shown);
     info::about(&context, panel);
+    choose::draw(&context, &mut shown);
     if panel.is_open {
         window(&context, panel, &mut shown);
     }
@@ -260,6 +264,25 @@ fn draw(mut contexts: EguiContexts, mut panel: ResMut<Panel>, mut shown: Shown) 
     let studio = &mut *shown.studio;
     studio.history.note(&studio.look, is_editing);
     Ok(())
+}
+
+/// Draws all characters that may come into the font's texture: those that are new to it are
+/// missing for a frame, which is seen where frames are slow.
+fn glyphs(context: &egui::Context, drawn_at: &mut f32) {
+    if *drawn_at == context.pixels_per_point() {
+        return;
+    }
+    *drawn_at = context.pixels_per_point();
+    let text: String = (' '..='~')
+        .chain("äöüÄÖÜßéèàç×°·−–—…±µ²³½≤≥".chars())
+        .collect();
+    let styles = &context.global_style().text_styles;
+    let sizes = [11.0, 13.0].map(egui::FontId::proportional);
+    for font in styles.values().cloned().chain(sizes) {
+        context.fonts_mut(|fonts| {
+            fonts.layout_no_wrap(text.clone(), font, egui::Color32::WHITE);
+        });
+    }
 }
 
 /// The scan stands in the middle of what the panel leaves free.
@@ -427,7 +450,7 @@ fn shortcuts(
         panel.overlay.toggle_ruler();
     }
     if pressed(KeyCode::KeyB) {
-        view::add_bookmark(panel, &shown);
+        view::add_bookmark(&mut shown);
     }
     if pressed(KeyCode::Escape) {
         panel.overlay.leave_ruler();

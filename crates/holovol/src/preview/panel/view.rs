@@ -21,6 +21,7 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
             ui.selectable_value(scatters, value, text);
         }
     });
+    exposure(ui, panel, shown);
     let is_patient = shown
         .studio
         .scan
@@ -58,36 +59,58 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
     let mut removed = None;
     ui.horizontal_wrapped(|ui| {
         if ui.button("+ bookmark").clicked() {
-            add_bookmark(panel, shown);
+            add_bookmark(shown);
         }
-        for (index, (name, place)) in panel.bookmarks.iter().enumerate() {
-            let button = ui.button(name).on_hover_text("right click: delete");
+        let scan = shown.studio.scan.as_ref();
+        let bookmarks = scan.map_or(&[] as &[_], |scan| shown.settings.bookmarks(scan));
+        for (index, bookmark) in bookmarks.iter().enumerate() {
+            let button = ui
+                .button(&bookmark.name)
+                .on_hover_text("right click: delete");
             if button.clicked()
                 && let Ok((mut orbit, ..)) = shown.cameras.get_mut(camera)
             {
-                *orbit = *place;
+                *orbit = Orbit {
+                    home: orbit.home,
+                    ..bookmark.place
+                };
             }
             if button.secondary_clicked() {
                 removed = Some(index);
             }
         }
     });
-    if let Some(index) = removed {
-        panel.bookmarks.remove(index);
+    if let (Some(index), Some(scan)) = (removed, &shown.studio.scan) {
+        shown.settings.remove_bookmark(scan, index);
     }
 }
 
+/// How bright it shows; the light itself stays as it is.
+fn exposure(ui: &mut egui::Ui, panel: &Panel, shown: &mut Shown) {
+    ui.horizontal(|ui| {
+        let look = &mut shown.studio.look;
+        ui.label("exposure");
+        let slider = egui::Slider::new(&mut look.exposure_ev, -8.0..=8.0)
+            .suffix(" EV")
+            .clamping(egui::SliderClamping::Never);
+        ui.add(slider);
+        let auto = ui
+            .button("Auto")
+            .on_hover_text("Chalk in this light shows just below white");
+        if auto.clicked()
+            && let Some(ev) = panel.light.exposure_ev()
+        {
+            look.exposure_ev = ev - look.light.stops;
+        }
+    });
+}
+
 /// Keeps where the camera is.
-pub(super) fn add_bookmark(panel: &mut Panel, shown: &Shown) {
-    if let Ok((orbit, ..)) = shown.cameras.get(shown.session.camera) {
-        let free = (1..).find(|n| {
-            panel
-                .bookmarks
-                .iter()
-                .all(|(name, _)| *name != n.to_string())
-        });
-        let name = free.unwrap_or(1).to_string();
-        panel.bookmarks.push((name, *orbit));
+pub(super) fn add_bookmark(shown: &mut Shown) {
+    if let Ok((orbit, ..)) = shown.cameras.get(shown.session.camera)
+        && let Some(scan) = &shown.studio.scan
+    {
+        shown.settings.add_bookmark(scan, *orbit);
     }
 }
 
@@ -101,7 +124,7 @@ pub(super) fn look_from(shown: &mut Shown, side: DVec3) {
         *orbit = Orbit {
             home: orbit.home,
             flies: orbit.flies,
-            ..Orbit::looking(orbit.target, eye)
+            ..Orbit::looking(orbit.target, eye, Vec3::Y)
         };
     }
 }
