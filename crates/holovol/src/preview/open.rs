@@ -17,6 +17,7 @@ use holovol_volume::{Content, ReadOptions, TransferFunctionFile, VolumeError};
 use super::camera::Orbit;
 use super::lights::Overview;
 use super::look::{Light, LightSource, Look, Plane};
+use super::presets::Preset;
 use super::settings::Settings;
 use super::studio::{Scan, Studio};
 use super::{FirstFiles, Session, Status};
@@ -382,14 +383,13 @@ impl Show<'_, '_> {
                 self.place_camera(session, orbit, parts.projection.fov);
             }
             Opened::Volume(scan) => {
-                let look = Look {
-                    window: scan.volume().auto_window(),
-                    gradient_factor: 2.0,
+                let mut look = Look {
                     // The light stays: this scan stands in the same room as the last.
                     light: self.studio.look.light.clone(),
                     exposure_ev: self.studio.look.exposure_ev,
                     ..Look::default()
                 };
+                Preset::Automatic.apply(&mut look, &scan);
                 let notices = scan.volume().notices();
                 session.status = (!notices.is_empty()).then(|| Status::Done(notices.join("\n")));
                 let distance = 3.4 * scan.radius() as f32;

@@ -127,15 +127,15 @@ fn completions(typed: &str) -> Vec<PathBuf> {
 
 /// A choice of looks.
 pub(super) fn presets(ui: &mut egui::Ui, shown: &mut Shown) {
+    let studio = &mut *shown.studio;
     egui::ComboBox::from_id_salt("presets")
         .selected_text("preset …")
         .show_ui(ui, |ui| {
             for preset in Preset::ALL {
                 if ui.selectable_label(false, preset.name()).clicked()
-                    && let Some(scan) = &shown.studio.scan
+                    && let Some(scan) = &studio.scan
                 {
-                    let window = scan.grey;
-                    preset.apply(&mut shown.studio.look, window);
+                    preset.apply(&mut studio.look, scan);
                 }
             }
         });

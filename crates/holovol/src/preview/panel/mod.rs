@@ -16,6 +16,7 @@ use bevy::camera::{Exposure, Viewport};
 use bevy::diagnostic::DiagnosticsStore;
 use bevy::prelude::*;
 use bevy::render::renderer::RenderAdapterInfo;
+use bevy_egui::egui::text::LayoutJob;
 use bevy_egui::{EguiContexts, EguiPrimaryContextPass, egui};
 use bevy_holovol::VolumeStatistics;
 use bevy_holovol::prelude::*;
@@ -273,15 +274,24 @@ fn glyphs(context: &egui::Context, drawn_at: &mut f32) {
         return;
     }
     *drawn_at = context.pixels_per_point();
-    let text: String = (' '..='~')
-        .chain("äöüÄÖÜßéèàç×°·−–—…±µ²³½≤≥".chars())
-        .collect();
+    let characters = (' '..='~').chain("äöüÄÖÜßéèàç×°·−–—…±µ²³½≤≥".chars());
     let styles = &context.global_style().text_styles;
     let sizes = [11.0, 13.0].map(egui::FontId::proportional);
-    for font in styles.values().cloned().chain(sizes) {
-        context.fonts_mut(|fonts| {
-            fonts.layout_no_wrap(text.clone(), font, egui::Color32::WHITE);
-        });
+    let fonts: Vec<egui::FontId> = styles.values().cloned().chain(sizes).collect();
+    for character in characters {
+        for font in &fonts {
+            // Each is drawn for four places within a pixel.
+            for quarter in 0..4 {
+                let white = egui::Color32::WHITE;
+                let text = character.to_string();
+                let mut job = LayoutJob::simple_singleline(text, font.clone(), white);
+                let section = job.sections.first_mut();
+                if let Some(section) = section {
+                    section.leading_space = (0.25 * quarter as f32 + 0.01) / *drawn_at;
+                }
+                context.fonts_mut(|fonts| fonts.layout_job(job));
+            }
+        }
     }
 }
 
