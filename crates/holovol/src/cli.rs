@@ -102,7 +102,7 @@ pub enum Interpolation {
 
 /// `holovol preview`
 #[cfg(feature = "preview")]
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 #[command(after_long_help = "\
 Without a file it shows a head phantom in a living room, both made by holovol itself. Files and
 folders can also be dropped on the window. The panel (Tab) lists the keys.
@@ -113,7 +113,7 @@ Examples:
   holovol preview scan.nii.gz bone.tf.json room.hdr
   holovol preview scene.json")]
 pub struct PreviewArgs {
-    /// Scans, folders of DICOM files, scenes, *.tf.json, *.hdr, *.exr
+    /// Scans, folders of DICOM files, scenes, *.tf.json, panoramas (*.hdr, *.exr, *.png, *.jpg)
     #[arg(value_name = "FILE")]
     pub files: Vec<PathBuf>,
     /// Size of the window, logical pixels
@@ -122,6 +122,9 @@ pub struct PreviewArgs {
     /// Close the window after as many frames
     #[arg(long, value_name = "N", hide = true)]
     pub frames: Option<u32>,
+    /// Take over from a window whose graphics device was lost
+    #[arg(long, value_name = "FILE", hide = true)]
+    pub restore: Option<PathBuf>,
 }
 
 /// `holovol xr`

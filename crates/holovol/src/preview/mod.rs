@@ -11,6 +11,7 @@ mod pictures;
 mod pointer;
 mod presets;
 mod quality;
+mod recovery;
 mod scene_io;
 mod settings;
 mod slice_views;
@@ -35,6 +36,7 @@ use bevy::winit::{UpdateMode, WinitSettings};
 use bevy_egui::{EguiGlobalSettings, EguiPlugin, PrimaryEguiContext};
 use bevy_holovol::prelude::*;
 
+use self::recovery::{RecoveryPlugin, Restored};
 use crate::cli::PreviewArgs;
 use crate::{Exit, Failure};
 
@@ -69,10 +71,20 @@ pub(crate) fn run(args: &PreviewArgs) -> Result<(), Failure> {
              pictures without one",
         ));
     }
+    let restored = args.restore.as_deref().map(Restored::read).transpose()?;
+    let mut args = args.clone();
+    if let Some(restored) = &restored {
+        args.files = restored.files();
+    }
     check_files(&args.files)?;
     // Bevy ends the process if there is no adapter: that is found out before, and said kindly.
     holovol_render::Gpu::new(None)?;
-    match app(args, |plugins| plugins).run() {
+    let mut app = app(&args, |plugins| plugins);
+    app.add_plugins(RecoveryPlugin {
+        size: args.size,
+        restored,
+    });
+    match app.run() {
         AppExit::Success => Ok(()),
         AppExit::Error(_) => Err(Failure::new(
             Exit::Device,

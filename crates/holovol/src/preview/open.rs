@@ -18,6 +18,7 @@ use super::camera::Orbit;
 use super::lights::Overview;
 use super::look::{Light, LightSource, Look, Plane};
 use super::presets::Preset;
+use super::recovery::Restored;
 use super::settings::Settings;
 use super::studio::{Scan, Studio};
 use super::{FirstFiles, Session, Status};
@@ -309,12 +310,7 @@ fn finish(
                 session.status = Some(Status::Done(format!("{name} holds one volume only")));
             }
             Ok(Opened::Choosing(choosing)) => opening.choosing = Some(choosing),
-            Ok(opened) => {
-                show.show(&mut session, name, opened);
-                if let Some(path) = path {
-                    show.settings.note_recent(&path);
-                }
-            }
+            Ok(opened) => show.take(&mut session, name, path.as_deref(), opened),
             Err(error) => session.status = Some(Status::Failed(error)),
         }
     }
@@ -332,6 +328,7 @@ fn finish(
 
 #[derive(bevy::ecs::system::SystemParam)]
 struct Show<'w, 's> {
+    restored: Option<ResMut<'w, Restored>>,
     studio: ResMut<'w, Studio>,
     settings: ResMut<'w, Settings>,
     volumes: ResMut<'w, Assets<VolumeAsset>>,
@@ -341,6 +338,37 @@ struct Show<'w, 's> {
 }
 
 impl Show<'_, '_> {
+    fn take(&mut self, session: &mut Session, name: String, path: Option<&Path>, opened: Opened) {
+        let Some(path) = path else {
+            return self.show(session, name, opened);
+        };
+        let restored = self.restored.as_deref_mut();
+        if restored.is_some_and(|restored| restored.forget(path)) {
+            self.restore(session, opened);
+        } else {
+            self.show(session, name, opened);
+            self.settings.note_recent(path);
+        }
+    }
+
+    /// The view of a window that had to end.
+    fn restore(&mut self, session: &mut Session, opened: Opened) {
+        let name = match &opened {
+            Opened::Scene(opened) => opened.scan.path.as_deref().map(file_name),
+            _ => None,
+        };
+        let room = self.studio.look.light.source.clone();
+        self.show(session, name.unwrap_or_default(), opened);
+        if let Some(restored) = &self.restored {
+            if restored.keeps_light {
+                self.studio.look.light.source = room;
+            }
+            session.status = Some(restored.status());
+        }
+        let studio = &mut *self.studio;
+        studio.history.begin(&studio.look);
+    }
+
     fn show(&mut self, session: &mut Session, name: String, opened: Opened) {
         session.status = None;
         match opened {

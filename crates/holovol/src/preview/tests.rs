@@ -66,7 +66,7 @@ fn room() -> EnvironmentMap {
     EnvironmentMap::new(16, 8, (0..128).map(texel).collect())
 }
 
-fn look(map: Handle<EnvironmentAsset>) -> Look {
+pub(super) fn look(map: Handle<EnvironmentAsset>) -> Look {
     let point = |s, sigma_t, albedo| TransferPoint {
         s,
         sigma_t,
@@ -224,7 +224,7 @@ fn accumulated(app: &mut App, target: &Handle<Image>) -> Vec<[f32; 4]> {
     panic!("nothing was read back");
 }
 
-fn viewpoint() -> Viewpoint {
+pub(super) fn viewpoint() -> Viewpoint {
     let orbit = orbit();
     Viewpoint {
         transform: orbit.transform(),

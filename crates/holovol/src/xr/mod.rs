@@ -85,6 +85,7 @@ impl XrArgs {
             files: self.files.clone(),
             size: [1280, 800],
             frames: None,
+            restore: None,
         }
     }
 }

@@ -120,17 +120,7 @@ impl Shown<'_, '_> {
     fn viewpoint(&self) -> Option<Viewpoint> {
         let (orbit, camera, _, projection, exposure) =
             self.cameras.get(self.session.camera).ok()?;
-        let Projection::Perspective(perspective) = projection else {
-            return None;
-        };
-        let exposure = exposure.copied().unwrap_or_default().exposure();
-        Some(Viewpoint {
-            transform: orbit.transform(),
-            distance: orbit.distance,
-            fov: perspective.fov,
-            size: camera.physical_viewport_size()?,
-            exposure: exposure * bevy_holovol::environment::DEFAULT_INTENSITY,
-        })
+        viewpoint((orbit, camera, projection, exposure))
     }
 
     /// The map that lights everything.
@@ -206,6 +196,23 @@ impl Shown<'_, '_> {
             self.tell(Err(failure));
         }
     }
+}
+
+/// What a viewpoint is made of.
+pub(crate) type CameraParts<'a> = (&'a Orbit, &'a Camera, &'a Projection, Option<&'a Exposure>);
+
+pub(crate) fn viewpoint((orbit, camera, projection, exposure): CameraParts) -> Option<Viewpoint> {
+    let Projection::Perspective(perspective) = projection else {
+        return None;
+    };
+    let exposure = exposure.copied().unwrap_or_default().exposure();
+    Some(Viewpoint {
+        transform: orbit.transform(),
+        distance: orbit.distance,
+        fov: perspective.fov,
+        size: camera.physical_viewport_size()?,
+        exposure: exposure * bevy_holovol::environment::DEFAULT_INTENSITY,
+    })
 }
 
 impl Panel {
