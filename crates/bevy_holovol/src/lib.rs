@@ -29,7 +29,8 @@
 //!
 //! Before Bevy's cameras run, the depth of opaque meshes is drawn for each view in which a mesh
 //! overlaps a volume, from the same pose and in the same frame; then one dispatch traces all views
-//! of a volume, and paths end at that depth. In each view's `Core3d` the images are laid over the
+//! of a volume, and paths end at that depth; denoised views pass through the denoiser, two eyes
+//! ([`RightEyeOf`]) together. In each view's `Core3d` the images are laid over the
 //! opaque pass, before transparent meshes: scene-referred radiance times the camera's exposure, so
 //! that Bevy tone-maps everything once. A resting view gathers samples until it has
 //! [`max_samples`](VolumeRenderSettings::max_samples); from then on a frame costs no tracing.
@@ -64,8 +65,8 @@ pub use environment::{
 pub use holovol_render::{Counters, MAX_VIEWS};
 pub use interaction::{Graspable, InteractionPlugin};
 pub use render::{
-    VolumeRenderMode, VolumeRenderPlugin, VolumeRenderSettings, VolumeRenderSystems,
-    VolumeStatistics,
+    RightEyeOf, VolumeDenoiser, VolumeRenderMode, VolumeRenderPlugin, VolumeRenderSettings,
+    VolumeRenderSystems, VolumeStatistics,
 };
 pub use scene::SceneParts;
 pub use transfer_function::{TransferFunctionAsset, TransferFunctionPlugin, VolumeMaterial3d};
@@ -76,9 +77,10 @@ pub use volume::{
 /// All that most apps use.
 pub mod prelude {
     pub use crate::{
-        EnvironmentAsset, EnvironmentSource, Graspable, HolovolPlugins, TransferFunctionAsset,
-        Volume3d, VolumeAsset, VolumeClipPlane, VolumeEnvironment, VolumeFiles, VolumeMaterial3d,
-        VolumeMedium, VolumeRenderMode, VolumeRenderSettings,
+        EnvironmentAsset, EnvironmentSource, Graspable, HolovolPlugins, RightEyeOf,
+        TransferFunctionAsset, Volume3d, VolumeAsset, VolumeClipPlane, VolumeDenoiser,
+        VolumeEnvironment, VolumeFiles, VolumeMaterial3d, VolumeMedium, VolumeRenderMode,
+        VolumeRenderSettings,
     };
 }
 

@@ -4,8 +4,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use holovol_render::{
-    Counters, DenoiseFrame, DenoiseSettings, Denoiser, FrameTracer, Gpu, GpuEnvironment, GpuVolume,
-    Interpolation, Kernels, Medium, RenderError, TraceOptions, View, ViewFrame, wgpu,
+    Counters, DenoiseFrame, DenoiseKernels, DenoiseSettings, Denoiser, FrameTracer, Gpu,
+    GpuEnvironment, GpuVolume, Interpolation, Kernels, LightChange, Medium, RenderError,
+    TraceOptions, View, ViewFrame, environment_change, wgpu,
 };
 use holovol_scene::{Camera, Scene};
 
@@ -25,14 +26,8 @@ pub(crate) struct Live {
     gpu: Gpu,
     tracer: FrameTracer,
     environment: (*const [f32; 3], Arc<GpuEnvironment>),
-    light: Option<Light>,
-}
-
-#[derive(Clone, Copy, PartialEq)]
-struct Light {
-    map: *const [f32; 3],
-    rotation_y: f64,
-    scale: f64,
+    light: LightChange,
+    denoise_kernels: Arc<DenoiseKernels>,
 }
 
 impl Live {
@@ -64,7 +59,8 @@ impl Live {
             gpu: gpu.clone(),
             tracer,
             environment: (map.texels().as_ptr(), environment),
-            light: None,
+            light: LightChange::default(),
+            denoise_kernels: Arc::new(DenoiseKernels::new(gpu)?),
         })
     }
 
@@ -111,13 +107,10 @@ impl Live {
                 "the tracer's kernels are not ready",
             ));
         }
-        let light = Light {
-            map: map.texels().as_ptr(),
-            rotation_y: scene.environment.rotation_y,
-            scale: scene.environment.scale,
-        };
-        let change = self.light.map_or(0.0, |before| light.change(before));
-        self.light = Some(light);
+        let (rotation_y, scale) = (scene.environment.rotation_y, scene.environment.scale);
+        let change = self.light.update(map, rotation_y, scale, |before| {
+            environment_change(before, map)
+        });
         Ok((seconds.0, change))
     }
 
@@ -132,8 +125,11 @@ impl Live {
         let frame = DenoiseFrame {
             slots: &slots,
             light_change,
+            meshes_changed: false,
+            exposure: 1.0,
             reset: false,
         };
+        denoiser.wait_for_kernels(&self.tracer)?;
         let (guides, ()) =
             self.timed(|live, encoder| denoiser.record_guides(encoder, &live.tracer, &frame))?;
         let (filter, ()) =
@@ -146,8 +142,8 @@ impl Live {
     }
 
     /// A denoiser for these frames.
-    pub(crate) fn denoiser(&self, settings: DenoiseSettings) -> Result<Denoiser, Failure> {
-        Ok(Denoiser::new(&self.gpu, settings)?)
+    pub(crate) fn denoiser(&self, settings: DenoiseSettings) -> Denoiser {
+        Denoiser::new(&self.gpu, Arc::clone(&self.denoise_kernels), settings)
     }
 
     /// The frame as it was traced.
@@ -196,20 +192,4 @@ fn processor_seconds() -> Option<f64> {
     let fields: Vec<_> = stat.rsplit_once(')')?.1.split_whitespace().collect();
     let ticks = |i: usize| fields.get(i)?.parse::<f64>().ok();
     Some((ticks(11)? + ticks(12)?) / TICKS_PER_SECOND)
-}
-
-impl Light {
-    /// A stand-in for the T of patches of the panorama: an exchanged map counts as a lamp switched
-    /// on, a turn by 10° as the sun moved by as much.
-    fn change(self, before: Self) -> f32 {
-        const EXCHANGED: f64 = 0.9;
-        const PER_RADIAN: f64 = 0.5 * 18.0 / std::f64::consts::PI;
-        if self.map != before.map {
-            return EXCHANGED as f32;
-        }
-        let turn = (PER_RADIAN * (self.rotation_y - before.rotation_y).abs()).min(EXCHANGED);
-        let (low, high) = (self.scale.min(before.scale), self.scale.max(before.scale));
-        let scale = if high > 0.0 { 1.0 - low / high } else { 0.0 };
-        turn.max(scale).min(1.0) as f32
-    }
 }

@@ -59,8 +59,7 @@ pub(crate) fn run(
         mode,
         ..Default::default()
     };
-    let mut denoiser: Option<Denoiser> =
-        mode.map(|mode| live.denoiser(settings(mode))).transpose()?;
+    let mut denoiser: Option<Denoiser> = mode.map(|mode| live.denoiser(settings(mode)));
     let load_seconds = started.elapsed().as_secs_f64();
     let bar = Bar::new("rendering");
     let frames = sequence.frames();

@@ -30,10 +30,14 @@ pub mod shared;
 #[doc(hidden)]
 pub mod testing;
 mod trace;
+mod variants;
 mod volume;
 
 pub use composite::{CompositePlace, CompositeTarget, Compositor};
-pub use denoise::{DenoiseFrame, DenoiseMode, DenoiseSettings, Denoiser, PaperSettings};
+pub use denoise::{
+    DenoiseFrame, DenoiseKernels, DenoiseMode, DenoiseSettings, Denoiser, LightChange,
+    PaperSettings, environment_change,
+};
 pub use depth::{DepthLayers, DepthSource, MeshDepth};
 pub use error::RenderError;
 pub use frame::{FrameImage, FrameTracer, FrameWork, Kernels, ViewFrame};

@@ -10,8 +10,8 @@ use holovol_light::EnvironmentMap;
 use holovol_render::Medium;
 use holovol_volume::{TransferFunction, TransferPoint, Volume};
 
-use super::VolumeRenderSettings;
 use super::mesh_overlap::MeshOverlaps;
+use super::{RightEyeOf, VolumeRenderMode, VolumeRenderSettings};
 use crate::clip_plane::{ClipPlaneData, planes_of};
 use crate::environment::CurrentMap;
 use crate::{
@@ -37,6 +37,8 @@ pub(super) struct ExtractedVolume {
 pub(super) struct ExtractedVolumeView {
     pub(super) entity: MainEntity,
     pub(super) settings: VolumeRenderSettings,
+    /// The left eye to this one, if both are denoised.
+    pub(super) left_eye: Option<MainEntity>,
     /// What it sees, and what meshes are inside.
     pub(super) volumes: Vec<(MainEntity, Option<u64>)>,
 }
@@ -49,6 +51,14 @@ type VolumeData<'a> = (
     &'a VolumeMedium,
 );
 
+type ViewData<'a> = (
+    Entity,
+    &'a Camera,
+    &'a VolumeRenderSettings,
+    &'a VisibleEntities,
+    Option<&'a RightEyeOf>,
+);
+
 #[expect(clippy::too_many_arguments, reason = "all that a volume consists of")]
 pub(super) fn extract_volumes(
     mut scene: ResMut<ExtractedScene>,
@@ -58,7 +68,7 @@ pub(super) fn extract_volumes(
     is_volume: Extract<Query<(), With<Volume3d>>>,
     planes: Extract<Query<ClipPlaneData, With<VolumeClipPlane>>>,
     parents: Extract<Query<&ChildOf>>,
-    views: Extract<Query<(Entity, &Camera, &VolumeRenderSettings, &VisibleEntities)>>,
+    views: Extract<Query<ViewData>>,
     assets: Extract<Res<Assets<VolumeAsset>>>,
     transfer_functions: Extract<Res<Assets<TransferFunctionAsset>>>,
     overlaps: Extract<Res<MeshOverlaps>>,
@@ -82,7 +92,7 @@ pub(super) fn extract_volumes(
         });
     }
     scene.views.clear();
-    for (entity, camera, settings, visible) in &views {
+    for (entity, camera, settings, visible, eye) in &views {
         if !camera.is_active {
             continue;
         }
@@ -90,10 +100,42 @@ pub(super) fn extract_volumes(
         scene.views.push(ExtractedVolumeView {
             entity: entity.into(),
             settings: settings.clone(),
+            left_eye: eye.map(|eye| eye.0.into()),
             volumes: seen
                 .map(|&volume| (volume.into(), overlaps.get(entity, volume)))
                 .collect(),
         });
+    }
+    join_eyes(&mut scene.views);
+}
+
+/// Finds the pairs: what one eye of a pair sees is traced for both, so that they stay together while
+/// a volume is at the border of one.
+fn join_eyes(views: &mut [ExtractedVolumeView]) {
+    let mut taken = Vec::new();
+    for right in 0..views.len() {
+        let Some(left_eye) = views[right].left_eye.take() else {
+            continue;
+        };
+        let Some(left) = views.iter().position(|view| view.entity == left_eye) else {
+            continue;
+        };
+        let [a, b] = [left, right].map(|i| &views[i].settings);
+        let fits = [a, b].iter().all(|s| s.mode == VolumeRenderMode::Denoised)
+            && a.denoiser == b.denoiser
+            && a.max_scatters == b.max_scatters;
+        if left == right || !fits || taken.contains(&left) || taken.contains(&right) {
+            continue;
+        }
+        taken.extend([left, right]);
+        views[right].left_eye = Some(left_eye);
+        for (from, to) in [(left, right), (right, left)] {
+            for (volume, _) in views[from].volumes.clone() {
+                if views[to].volumes.iter().all(|(other, _)| *other != volume) {
+                    views[to].volumes.push((volume, None));
+                }
+            }
+        }
     }
 }
 

@@ -1,5 +1,6 @@
 //! The path tracer in Bevy's frame.
 
+mod denoise;
 mod extract;
 mod mesh_overlap;
 mod node;
@@ -18,7 +19,10 @@ use bevy::prelude::*;
 use bevy::render::renderer::{RenderGraph, RenderGraphSystems};
 use bevy::render::{ExtractSchedule, GpuResourceAppExt, Render, RenderApp, RenderSystems};
 
-pub use settings::{Statistics, VolumeRenderMode, VolumeRenderSettings, VolumeStatistics};
+pub use settings::{
+    RightEyeOf, Statistics, VolumeDenoiser, VolumeRenderMode, VolumeRenderSettings,
+    VolumeStatistics,
+};
 
 /// Traces volumes for every camera with [`VolumeRenderSettings`].
 pub struct VolumeRenderPlugin;
@@ -28,7 +32,8 @@ pub struct VolumeRenderPlugin;
 pub enum VolumeRenderSystems {
     /// `Render`, in `RenderSystems::PrepareResources`: uploads what changed.
     Prepare,
-    /// `RenderGraph`, before `camera_driver`: the depth of meshes, then the paths of all views.
+    /// `RenderGraph`, before `camera_driver`: the depth of meshes, then the paths of all views, then
+    /// denoising.
     Trace,
     /// `Core3d`, between opaque and transparent meshes: images over what is drawn.
     Composite,
@@ -38,6 +43,7 @@ impl Plugin for VolumeRenderPlugin {
     fn build(&self, app: &mut App) {
         let statistics = VolumeStatistics::default();
         app.register_type::<VolumeRenderSettings>()
+            .register_type::<RightEyeOf>()
             .insert_resource(statistics.clone())
             .init_resource::<mesh_overlap::MeshOverlaps>()
             .init_resource::<settings::PendingResets>()

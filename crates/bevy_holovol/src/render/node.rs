@@ -20,6 +20,7 @@ use glam::DVec3;
 use holovol_render::{CompositePlace, DepthSource, Gpu, RenderError, wgpu};
 
 use super::VolumeStatistics;
+use super::denoise::Denoising;
 use super::prepare::{VolumeGpu, composite_target, viewport_size};
 
 /// Runs once for each view in which meshes overlap a volume, before Bevy's cameras.
@@ -189,7 +190,7 @@ pub(super) fn draw_mesh_depth(
     }
 }
 
-/// Traces all views of each volume.
+/// Traces all views of each volume, and takes the noise out.
 pub(super) fn trace_volumes(
     mut gpu: ResMut<VolumeGpu>,
     statistics: Res<VolumeStatistics>,
@@ -202,11 +203,11 @@ pub(super) fn trace_volumes(
     let diagnostics = diagnostics.as_deref();
     let (plan, mesh_depth) = (&inner.plan, &inner.mesh_depth);
     let (mut is_done, mut is_waiting) = (true, false);
-    let (mut dispatches, mut samples, mut least) = (0, 0, u32::MAX);
+    let (mut dispatches, mut samples, mut denoised, mut least) = (0, 0, 0, u32::MAX);
     let mut counters = holovol_render::Counters::default();
     let mut errors = Vec::new();
     for (key, tracing) in &mut inner.tracings {
-        let Some(tracer) = tracing.tracer_mut() else {
+        let Some((tracer, denoisings)) = tracing.tracer_mut() else {
             is_done = false;
             continue;
         };
@@ -215,6 +216,7 @@ pub(super) fn trace_volumes(
             .filter(|planned| planned.key == *key)
             .map(|planned| planned.frame)
             .collect();
+        let mut is_traced = false;
         if frames.iter().any(|frame| tracer.wants(frame)) {
             is_done = false;
             let encoder = ctx.command_encoder();
@@ -224,14 +226,28 @@ pub(super) fn trace_volumes(
                     dispatches += u64::from(work.dispatches);
                     samples += work.samples;
                     is_waiting |= work.is_waiting;
+                    is_traced = !work.is_waiting;
                 }
                 Err(error) => errors.push(error.to_string()),
             }
             span.end(encoder);
         }
-        for frame in &frames {
-            let image = tracer.image(frame.slot);
-            least = least.min(image.map_or(0, |image| image.samples));
+        // While the tracer's kernels are compiled there is nothing to denoise.
+        let is_planned = |d: &&mut Denoising| d.is_planned() && is_traced;
+        for denoising in denoisings.iter_mut().filter(is_planned) {
+            let encoder = ctx.command_encoder();
+            let span = diagnostics.time_span(encoder, "holovol_denoise");
+            match denoising.record(encoder, tracer) {
+                Ok(images) => denoised += images,
+                Err(error) => errors.push(error.to_string()),
+            }
+            span.end(encoder);
+        }
+        for planned in plan.iter().filter(|planned| planned.key == *key) {
+            let slot = planned.frame.slot;
+            let found = denoisings.iter().find_map(|d| d.samples(planned.camera));
+            let traced = || tracer.image(slot).map_or(0, |image| image.samples);
+            least = least.min(found.unwrap_or_else(traced));
         }
         let counted = tracer.counters();
         counters.majorant_violations += counted.majorant_violations;
@@ -240,6 +256,7 @@ pub(super) fn trace_volumes(
     statistics.update(|statistics| {
         statistics.dispatches += dispatches;
         statistics.samples += samples;
+        statistics.denoised += denoised;
         statistics.samples_per_pixel = if least == u32::MAX { 0 } else { least };
         statistics.is_waiting |= is_waiting;
         statistics.is_done = is_done && !statistics.is_waiting && !plan.is_empty();
@@ -278,7 +295,10 @@ pub(super) fn composite_volumes(
         .iter()
         .filter(|planned| planned.camera == *entity)
     {
-        let Some(tracer) = inner.tracings.get(&planned.key).and_then(|t| t.tracer()) else {
+        let Some(tracing) = inner.tracings.get(&planned.key) else {
+            continue;
+        };
+        let Some(tracer) = tracing.tracer() else {
             continue;
         };
         let corners = tracer.medium().corners();
@@ -287,7 +307,15 @@ pub(super) fn composite_volumes(
             .view
             .resized(viewport_size(extracted))
             .bounds(&corners);
-        match inner.compositor.bind(tracer, planned.frame.slot, &place) {
+        let denoised = tracing.denoisings.iter().find_map(|d| d.image(*entity));
+        let bound = match denoised {
+            Some((denoiser, eye)) => {
+                let compositor = &inner.compositor;
+                compositor.bind_denoised(tracer, denoiser, eye, &place)
+            }
+            None => inner.compositor.bind(tracer, planned.frame.slot, &place),
+        };
+        match bound {
             Ok(Some(bind_group)) => {
                 let centre = corners.iter().sum::<DVec3>() / 8.0;
                 images.extend(seen.map(|seen| (centre.distance(eye), seen, bind_group)));

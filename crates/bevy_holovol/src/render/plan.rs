@@ -8,6 +8,7 @@ use bevy::render::view::ExtractedView;
 use glam::DMat4;
 use holovol_render::{DepthLayers, View, ViewFrame};
 
+use super::denoise::{self, WantedDenoising};
 use super::extract::ExtractedScene;
 use super::node::{DepthTarget, DepthTargetShape};
 use super::prepare::{TracerKey, VolumeGpu, viewport_size};
@@ -18,6 +19,15 @@ pub(super) struct PlannedView {
     pub(super) key: TracerKey,
     pub(super) camera: MainEntity,
     pub(super) frame: ViewFrame,
+    pub(super) denoising: Option<WantedDenoising>,
+}
+
+/// A view whose meshes may end paths.
+struct MeshView {
+    view: Entity,
+    camera: MainEntity,
+    layers: DepthLayers,
+    shape: DepthTargetShape,
 }
 
 /// A view whose meshes' depth is to be drawn.
@@ -30,6 +40,7 @@ pub(super) struct PlannedDepth {
 type PlannedCamera<'a> = (
     Entity,
     &'a MainEntity,
+    &'a ExtractedCamera,
     &'a ExtractedView,
     &'a Msaa,
     Option<&'a ViewPrepassTextures>,
@@ -39,7 +50,7 @@ type PlannedCamera<'a> = (
 pub(super) fn plan_frame(
     mut gpu: ResMut<VolumeGpu>,
     scene: Res<ExtractedScene>,
-    cameras: Query<PlannedCamera, With<ExtractedCamera>>,
+    cameras: Query<PlannedCamera>,
     statistics: Res<VolumeStatistics>,
 ) {
     let Some(inner) = &mut gpu.0 else {
@@ -48,8 +59,9 @@ pub(super) fn plan_frame(
     inner.plan.clear();
     inner.depth_plan.clear();
     let mut layers_used = 0;
+    let mut mesh_views = Vec::new();
     for wanted in &scene.views {
-        let Some((entity, camera, view, msaa, prepass)) =
+        let Some((entity, camera, extracted, view, msaa, prepass)) =
             cameras.iter().find(|camera| *camera.1 == wanted.entity)
         else {
             continue;
@@ -73,7 +85,19 @@ pub(super) fn plan_frame(
                 size: viewport,
             }
         });
-        let mut wants_depth = false;
+        if let (Some(layers), Some(prepass)) = (layers, prepass) {
+            mesh_views.push(MeshView {
+                view: entity,
+                camera: *camera,
+                layers,
+                shape: DepthTargetShape {
+                    size: viewport,
+                    samples: msaa.samples(),
+                    normals: prepass.normal.is_some(),
+                    motion_vectors: prepass.motion_vectors.is_some(),
+                },
+            });
+        }
         for &(volume, overlap) in &wanted.volumes {
             let key = (volume, settings.max_scatters);
             let Some(tracing) = inner.tracings.get_mut(&key) else {
@@ -84,37 +108,46 @@ pub(super) fn plan_frame(
             };
             let meshes_changed = std::mem::replace(&mut tracing.overlaps[slot], overlap) != overlap;
             let is_fresh = settings.mode == VolumeRenderMode::Fresh;
-            let frame = ViewFrame {
-                slot,
-                view: pose,
-                samples: settings.samples,
-                max_samples: settings.max_samples,
-                restart: settings.reset || meshes_changed || is_fresh,
-                mesh_depth: layers.filter(|_| overlap.is_some()),
-            };
-            let wants = tracing.tracer().is_some_and(|tracer| tracer.wants(&frame));
-            wants_depth |= wants && frame.mesh_depth.is_some();
+            let is_denoised = settings.mode == VolumeRenderMode::Denoised;
             inner.plan.push(PlannedView {
                 key,
                 camera: *camera,
-                frame,
+                frame: ViewFrame {
+                    slot,
+                    view: pose,
+                    samples: settings.samples,
+                    max_samples: settings.max_samples,
+                    restart: settings.reset || meshes_changed || is_fresh,
+                    mesh_depth: layers.filter(|_| overlap.is_some()),
+                },
+                denoising: is_denoised.then_some(WantedDenoising {
+                    denoiser: settings.denoiser,
+                    left_eye: wanted.left_eye,
+                    meshes_changed,
+                    reset: settings.reset,
+                    exposure: extracted.exposure,
+                }),
             });
         }
-        if let (true, Some(layers), Some(prepass)) = (wants_depth, layers, prepass) {
-            let shape = DepthTargetShape {
-                size: viewport,
-                samples: msaa.samples(),
-                normals: prepass.normal.is_some(),
-                motion_vectors: prepass.motion_vectors.is_some(),
-            };
-            match inner.depth_target(shape) {
-                Ok(target) => inner.depth_plan.push(PlannedDepth {
-                    view: entity,
-                    layers,
-                    target,
-                }),
-                Err(error) => error_once!("{error}"),
-            }
+    }
+    statistics.update(|statistics| denoise::plan(inner, &scene.views, statistics));
+    for mesh_view in mesh_views {
+        let wants_depth = inner.plan.iter().any(|planned| {
+            let tracer = inner.tracings.get(&planned.key).and_then(|t| t.tracer());
+            planned.camera == mesh_view.camera
+                && planned.frame.mesh_depth.is_some()
+                && tracer.is_some_and(|tracer| tracer.wants(&planned.frame))
+        });
+        if !wants_depth {
+            continue;
+        }
+        match inner.depth_target(mesh_view.shape) {
+            Ok(target) => inner.depth_plan.push(PlannedDepth {
+                view: mesh_view.view,
+                layers: mesh_view.layers,
+                target,
+            }),
+            Err(error) => error_once!("{error}"),
         }
     }
     let plan = &inner.depth_plan;

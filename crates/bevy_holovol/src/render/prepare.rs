@@ -12,15 +12,17 @@ use bevy::render::view::ExtractedView;
 use bevy::tasks::{AsyncComputeTaskPool, Task, futures::check_ready};
 use holovol_light::EnvironmentMap;
 use holovol_render::{
-    CompositeTarget, Compositor, FrameTracer, Gpu, GpuEnvironment, GpuVolume, Interpolation,
-    Kernels, MAX_VIEWS, Medium, MeshDepth, RenderError, TraceOptions, wgpu,
+    CompositeTarget, Compositor, DenoiseKernels, FrameTracer, Gpu, GpuEnvironment, GpuVolume,
+    Interpolation, Kernels, LightChange, MAX_VIEWS, Medium, MeshDepth, RenderError, TraceOptions,
+    environment_change, wgpu,
 };
 use holovol_volume::Volume;
 
-use super::extract::{ExtractedScene, ExtractedVolumeView};
+use super::denoise::Denoising;
+use super::extract::{ExtractedScene, ExtractedVolume, ExtractedVolumeView};
 use super::node::{DepthTarget, DepthTargetShape};
 use super::plan::{PlannedDepth, PlannedView};
-use super::{Statistics, VolumeStatistics};
+use super::{Statistics, VolumeRenderMode, VolumeStatistics};
 
 /// Something that a worker makes of something else.
 pub(super) struct Made<K, T> {
@@ -47,6 +49,13 @@ impl<K, T: Send + 'static> Made<K, T> {
         Arc::ptr_eq(&self.of, other)
     }
 
+    pub(super) fn ready(&self) -> Option<&T> {
+        match &self.state {
+            State::Ready(made) => Some(made),
+            _ => None,
+        }
+    }
+
     /// Takes in what the worker has made.
     fn poll(&mut self) -> &mut State<T> {
         if let State::Pending(task) = &mut self.state
@@ -69,24 +78,22 @@ pub(super) type TracerKey = (MainEntity, Option<u32>);
 
 /// One volume for the views that want as many scatterings.
 pub(super) struct Tracing {
-    made: Made<Volume, FrameTracer>,
+    pub(super) made: Made<Volume, FrameTracer>,
     /// Cameras and the largest images that there is room for.
     slots: Vec<(MainEntity, [u32; 2])>,
     /// Per slot, what the meshes inside were like.
     pub(super) overlaps: Vec<Option<u64>>,
+    pub(super) denoisings: Vec<Denoising>,
 }
 
 impl Tracing {
     pub(super) fn tracer(&self) -> Option<&FrameTracer> {
-        match &self.made.state {
-            State::Ready(tracer) => Some(tracer),
-            _ => None,
-        }
+        self.made.ready()
     }
 
-    pub(super) fn tracer_mut(&mut self) -> Option<&mut FrameTracer> {
+    pub(super) fn tracer_mut(&mut self) -> Option<(&mut FrameTracer, &mut Vec<Denoising>)> {
         match &mut self.made.state {
-            State::Ready(tracer) => Some(tracer),
+            State::Ready(tracer) => Some((tracer, &mut self.denoisings)),
             _ => None,
         }
     }
@@ -133,7 +140,13 @@ pub(super) struct Inner {
     /// Drawn into for views of these shapes, one after the other.
     pub(super) depth_targets: Vec<DepthTarget>,
     volumes: Vec<Made<Volume, Arc<GpuVolume>>>,
-    environment: Option<Made<EnvironmentMap, Arc<GpuEnvironment>>>,
+    /// With the change of light T to it.
+    environment: Option<Made<EnvironmentMap, (Arc<GpuEnvironment>, f32)>>,
+    light: LightChange,
+    /// T since the last frame.
+    pub(super) light_change: f32,
+    /// Once a view is denoised.
+    pub(super) denoise_kernels: Option<Arc<DenoiseKernels>>,
     pub(super) tracings: HashMap<TracerKey, Tracing>,
     pub(super) plan: Vec<PlannedView>,
     pub(super) depth_plan: Vec<PlannedDepth>,
@@ -176,6 +189,9 @@ impl Inner {
             gpu,
             volumes: Vec::new(),
             environment: None,
+            light: LightChange::default(),
+            light_change: 0.0,
+            denoise_kernels: None,
             tracings: HashMap::new(),
             plan: Vec::new(),
             depth_plan: Vec::new(),
@@ -225,8 +241,9 @@ impl Inner {
     fn environment(
         &mut self,
         map: &Arc<EnvironmentMap>,
+        is_denoised: bool,
         statistics: &mut Statistics,
-    ) -> Option<Arc<GpuEnvironment>> {
+    ) -> Option<(Arc<GpuEnvironment>, f32)> {
         if !self
             .environment
             .as_ref()
@@ -234,13 +251,17 @@ impl Inner {
         {
             let (gpu, source) = (self.gpu.clone(), Arc::clone(map));
             statistics.uploads += 1;
+            let before = self.light.map().filter(|_| is_denoised).cloned();
             // A small table and texture: its upload doesn't wait.
             self.environment = Some(Made::begin(map, move || {
-                GpuEnvironment::new(&gpu, &source).map(Arc::new)
+                let environment = GpuEnvironment::new(&gpu, &source)?;
+                // Nobody asks by how much the first differs.
+                let change = before.map_or(1.0, |before| environment_change(&before, &source));
+                Ok((Arc::new(environment), change))
             }));
         }
         match self.environment.as_mut()?.poll() {
-            State::Ready(environment) => Some(Arc::clone(environment)),
+            State::Ready((environment, change)) => Some((Arc::clone(environment), *change)),
             State::Pending(_) => {
                 statistics.is_waiting = true;
                 None
@@ -281,6 +302,7 @@ fn prepare(
     cameras: &Query<(&MainEntity, &ExtractedView, &Msaa), With<ExtractedCamera>>,
     statistics: &mut Statistics,
 ) -> Result<(), RenderError> {
+    inner.light_change = 0.0;
     // What nobody uses any more goes first: it makes room.
     let is_used = |made: &Made<Volume, _>| scene.volumes.iter().any(|v| made.is_of(&v.volume));
     inner.volumes.retain(is_used);
@@ -294,7 +316,17 @@ fn prepare(
         statistics.is_waiting |= !scene.volumes.is_empty();
         return Ok(());
     };
-    let environment = inner.environment(map, statistics);
+    let is_denoised = |view: &ExtractedVolumeView| view.settings.mode == VolumeRenderMode::Denoised;
+    let is_denoised = scene.views.iter().any(is_denoised);
+    let mut environment = None;
+    if let Some((uploaded, exchanged)) = inner.environment(map, is_denoised, statistics) {
+        environment = Some(uploaded);
+        // One light for all volumes.
+        if let Some(ExtractedVolume { medium, .. }) = scene.volumes.first() {
+            let (rotation_y, scale) = (medium.environment_rotation_y, medium.environment_scale);
+            inner.light_change = inner.light.update(map, rotation_y, scale, |_| exchanged);
+        }
+    }
     let views: HashMap<_, _> = cameras
         .iter()
         .map(|(entity, v, msaa)| (*entity, (v, msaa)))
@@ -361,7 +393,7 @@ fn prepare(
 impl Tracing {
     fn begin(
         inner: &Inner,
-        extracted: &super::extract::ExtractedVolume,
+        extracted: &ExtractedVolume,
         volume: &Arc<GpuVolume>,
         environment: Arc<GpuEnvironment>,
         medium: Medium,
@@ -375,6 +407,7 @@ impl Tracing {
             }),
             slots: Vec::new(),
             overlaps: Vec::new(),
+            denoisings: Vec::new(),
         }
     }
 }

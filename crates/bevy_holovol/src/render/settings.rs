@@ -15,7 +15,10 @@ use holovol_render::Counters;
 pub struct VolumeRenderSettings {
     /// What becomes of the samples of earlier frames.
     pub mode: VolumeRenderMode,
-    /// Samples per pixel and frame; 1 by default.
+    /// How [`VolumeRenderMode::Denoised`] takes noise out; other modes don't use it.
+    pub denoiser: VolumeDenoiser,
+    /// Samples per pixel and frame; 1 by default. Twice as many halve the noise that is left to a
+    /// denoiser; 2 is what its settings were found with.
     pub samples: u32,
     /// Samples per pixel at which a resting view is done and costs nothing more; 1024 by default.
     pub max_samples: u32,
@@ -32,6 +35,7 @@ impl Default for VolumeRenderSettings {
     fn default() -> Self {
         Self {
             mode: VolumeRenderMode::default(),
+            denoiser: VolumeDenoiser::default(),
             samples: 1,
             max_samples: 1024,
             max_scatters: Some(1),
@@ -84,9 +88,37 @@ pub enum VolumeRenderMode {
     /// change of camera, volume, light or meshes begins anew.
     #[default]
     Progressive,
+    /// Each frame's samples join what earlier frames, neighbouring pixels and the other eye know of
+    /// the same place: for views that move. Biased in motion, by how much docs/denoising.md says; at
+    /// rest it goes on to the image of [`Self::Progressive`], and stops there.
+    ///
+    /// Camera, volume, meshes, light and transfer function may all change: what the history still
+    /// says of the new image is kept, the rest is dropped, pixel by pixel. After a cut to another
+    /// place nothing has to be done; [`VolumeRenderSettings::reset`] forgets all.
+    Denoised,
     /// Each frame stands for itself: unbiased, and as noisy as its few samples.
     Fresh,
 }
+
+/// How noise is taken out of a [`VolumeRenderMode::Denoised`] view.
+#[derive(Reflect, Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[reflect(Default, Clone, Debug, PartialEq, Hash)]
+pub enum VolumeDenoiser {
+    /// This project's: a resting view converges to the exact image.
+    #[default]
+    Holovol,
+    /// That of Cheng et al. 2023, as printed: to compare with. It stays biased at rest.
+    Paper,
+}
+
+/// On a camera: it is the right eye to another one, the left. Both are denoised together, so that
+/// each profits from the other's samples and they agree.
+///
+/// It has an effect if both are active with [`VolumeRenderMode::Denoised`], the same denoiser and
+/// the same `max_scatters`. Poses, projections and sizes are free.
+#[derive(Component, Reflect, Clone, Copy, Debug, PartialEq, Eq)]
+#[reflect(Component, Clone, Debug, PartialEq)]
+pub struct RightEyeOf(#[entities] pub Entity);
 
 /// What tracing took, summed over volumes; in both worlds.
 #[derive(Resource, Clone, Debug, Default)]
@@ -101,6 +133,8 @@ pub struct Statistics {
     pub dispatches: u64,
     /// Samples made since the start: pixels times samples of each.
     pub samples: u64,
+    /// Images denoised since the start.
+    pub denoised: u64,
     /// Depth passes drawn since the start for meshes that overlap volumes.
     pub depth_passes: u64,
     /// Volumes, transfer functions and environments uploaded since the start.

@@ -322,6 +322,12 @@ fn fresh_frames_never_end() {
 
 /// Bevy opens another device, if the app tells it to; volumes are there again.
 fn a_lost_device_is_recovered_from() {
+    for mode in [VolumeRenderMode::Progressive, VolumeRenderMode::Denoised] {
+        lose_a_device(mode);
+    }
+}
+
+fn lose_a_device(mode: VolumeRenderMode) {
     let mut app = app();
     app.insert_resource(ClearColor(Color::WHITE));
     app.insert_resource(RenderErrorHandler(|_, _, _| {
@@ -329,7 +335,11 @@ fn a_lost_device_is_recovered_from() {
     }));
     spawn_volume(&mut app, solid(Vec3::ONE), matter(2.0, 0.0));
     let target = target(&mut app, 24, 24);
-    spawn_camera(&mut app, &target, 4.0, settings(64));
+    let settings = VolumeRenderSettings {
+        mode,
+        ..settings(64)
+    };
+    spawn_camera(&mut app, &target, 4.0, settings);
     finish(&mut app);
     let uploads = statistics(&app).uploads;
     let device = app.world().resource::<RenderDevice>().clone();

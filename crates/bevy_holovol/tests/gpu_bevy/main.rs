@@ -2,6 +2,7 @@
 
 mod app;
 mod assets;
+mod denoise;
 mod frame;
 mod light;
 mod meshes;
@@ -20,6 +21,7 @@ fn main() {
     let is_ignored = !has_adapter && !is_required;
     let tests: Vec<Test> = [
         assets::TESTS,
+        denoise::TESTS,
         frame::TESTS,
         light::TESTS,
         meshes::TESTS,

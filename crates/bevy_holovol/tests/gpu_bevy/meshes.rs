@@ -32,7 +32,7 @@ pub const TESTS: &[crate::Test] = &[
 /// the transmittance of what is before it.
 const SIGMA: f64 = 1.5;
 
-fn spawn_box(app: &mut App, size: Vec3, at: Vec3) -> Entity {
+pub fn spawn_box(app: &mut App, size: Vec3, at: Vec3) -> Entity {
     let mesh = app
         .world_mut()
         .resource_mut::<Assets<Mesh>>()

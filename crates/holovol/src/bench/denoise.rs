@@ -286,14 +286,14 @@ fn measure_case(
     let mut runs: Vec<(&'static str, u32, Denoiser)> = Vec::new();
     for (mode, settings) in modes() {
         for frames in FRAMES {
-            runs.push((mode, frames, live.denoiser(settings)?));
+            runs.push((mode, frames, live.denoiser(settings)));
         }
     }
     let fresh = runs.len();
     runs.push((
         "holovol",
         SINCE_HIDDEN,
-        live.denoiser(settings(DenoiseMode::Holovol))?,
+        live.denoiser(settings(DenoiseMode::Holovol)),
     ));
     let mut times: BTreeMap<&'static str, Vec<Seconds>> = BTreeMap::new();
     let mut last: BTreeMap<&'static str, Vec<Image>> = BTreeMap::new();
@@ -468,11 +468,11 @@ fn measure_switch(
     let mut live = Live::new(gpu, &old, holovol_render::Interpolation::Exact, args.seed)?;
     let mut denoisers = Vec::new();
     for (mode, settings) in modes() {
-        denoisers.push((mode, live.denoiser(settings)?));
+        denoisers.push((mode, live.denoiser(settings)));
     }
     // What of the coefficient is blur, and no ghost: a denoiser that has never seen the old image.
     let fresh = settings(DenoiseMode::Holovol);
-    denoisers.push(("fresh", live.denoiser(fresh)?));
+    denoisers.push(("fresh", live.denoiser(fresh)));
     let mut reports = Vec::new();
     let last = AFTER_SWITCH[AFTER_SWITCH.len() - 1];
     for index in 0..BEFORE_SWITCH + last {

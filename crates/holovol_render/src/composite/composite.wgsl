@@ -15,7 +15,8 @@ struct Composite {
     clip: vec4<f32>,
     // x, y: first pixel of the viewport; z, w: its size.
     viewport: vec4<f32>,
-    // x, y: pixels of the image; z: its first pixel in the sums.
+    // x, y: pixels of the image; z: its first pixel in the sums; w: vectors of a pixel, 1 or 2. One
+    // is read twice, and scale allows for it.
     image: vec4<u32>,
     // x: exposure / samples; y: 1 / samples.
     scale: vec4<f32>,
@@ -42,8 +43,9 @@ fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
 fn sum(pixel: vec2<i32>) -> vec4<f32> {
     let size = vec2<i32>(composite.image.xy);
     let inside = clamp(pixel, vec2<i32>(0), size - 1);
-    let i = 2u * (composite.image.z + u32(inside.x + size.x * inside.y));
-    return sums[i] + sums[i + 1u];
+    let vectors = composite.image.w;
+    let i = vectors * (composite.image.z + u32(inside.x + size.x * inside.y));
+    return sums[i] + sums[i + vectors - 1u];
 }
 
 fn image_at(position: vec2<f32>) -> vec4<f32> {

@@ -10,7 +10,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::{DMat4, DVec3};
 
 use crate::shader::{ShaderFile, compose, shader_file};
-use crate::{FrameImage, FrameTracer, Gpu, RenderError};
+use crate::{Denoiser, FrameImage, FrameTracer, Gpu, RenderError};
 
 pub(crate) const COMPOSITE: ShaderFile = shader_file!("composite.wgsl");
 
@@ -52,8 +52,20 @@ pub(crate) struct CompositeUniform {
     pub scale: [f32; 4],
 }
 
+/// How many vectors there are of each pixel, to be added up: the tracer's two sums, or one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Vectors {
+    One = 1,
+    Two = 2,
+}
+
 impl CompositeUniform {
-    fn new(image: &FrameImage, world_from_unit_cube: DMat4, place: &CompositePlace) -> Self {
+    fn new(
+        image: &FrameImage,
+        vectors: Vectors,
+        world_from_unit_cube: DMat4,
+        place: &CompositePlace,
+    ) -> Self {
         let cube_from_world = world_from_unit_cube.inverse();
         let [_, _, width, height] = place.viewport;
         let view = image.view.resized([width, height]);
@@ -68,7 +80,9 @@ impl CompositeUniform {
             [-row.z as f32, row.w as f32]
         };
         let [[z, z0], [w, w0]] = [clip(2), clip(3)];
-        let per_sample = 1.0 / image.samples.max(1) as f32;
+        // One vector is read twice.
+        let reads = if vectors == Vectors::One { 2 } else { 1 };
+        let per_sample = 1.0 / (image.samples.max(1) * reads) as f32;
         Self {
             origin: [origin.x as f32, origin.y as f32, origin.z as f32, 0.0],
             origin_dx: vector(view.origin_dx),
@@ -78,7 +92,12 @@ impl CompositeUniform {
             direction_dy: vector(view.direction_dy),
             clip: [z, z0, w, w0],
             viewport: place.viewport.map(|n| n as f32),
-            image: [image.size[0], image.size[1], image.first_pixel, 0],
+            image: [
+                image.size[0],
+                image.size[1],
+                image.first_pixel,
+                vectors as u32,
+            ],
             scale: [place.exposure * per_sample, per_sample, 0.0, 0.0],
         }
     }
@@ -207,18 +226,47 @@ impl Compositor {
         let Some(image) = tracer.image(slot) else {
             return Ok(None);
         };
-        let uniform = CompositeUniform::new(&image, tracer.medium().world_from_unit_cube, place);
+        let sums = tracer.accumulators();
+        self.bind_image(tracer, &image, Vectors::Two, sums, place)
+            .map(Some)
+    }
+
+    /// As [`Self::bind`], of an eye's image that a denoiser has made of the tracer's.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn bind_denoised(
+        &self,
+        tracer: &FrameTracer,
+        denoiser: &Denoiser,
+        eye: usize,
+        place: &CompositePlace,
+    ) -> Result<Option<wgpu::BindGroup>, RenderError> {
+        let (Some(image), Some(output)) = (denoiser.image(eye), denoiser.output()) else {
+            return Ok(None);
+        };
+        self.bind_image(tracer, &image, Vectors::One, output, place)
+            .map(Some)
+    }
+
+    fn bind_image(
+        &self,
+        tracer: &FrameTracer,
+        image: &FrameImage,
+        vectors: Vectors,
+        pixels: &wgpu::Buffer,
+        place: &CompositePlace,
+    ) -> Result<wgpu::BindGroup, RenderError> {
+        let world_from_unit_cube = tracer.medium().world_from_unit_cube;
+        let uniform = CompositeUniform::new(image, vectors, world_from_unit_cube, place);
         self.gpu.scoped(COMPOSITE.path, 0, || {
             let contents = bytemuck::bytes_of(&uniform);
             let uniform =
                 self.gpu
                     .filled("holovol composite", contents, wgpu::BufferUsages::UNIFORM);
-            let resources = [
-                uniform.as_entire_binding(),
-                tracer.accumulators().as_entire_binding(),
-            ];
+            let resources = [uniform.as_entire_binding(), pixels.as_entire_binding()];
             let layout = &self.layout;
-            Some(self.gpu.bind_group("holovol composite", layout, resources))
+            self.gpu.bind_group("holovol composite", layout, resources)
         })
     }
 

@@ -59,7 +59,8 @@ const LARGEST: f32 = 1e15;
 const TILE: u32 = 8u;
 
 @group(0) @binding(16) var<uniform> denoise: Denoise;
-// Per pixel: a half for this frame and one for the last of what is kept, light and opacity; then
+// Per pixel: a half for this frame and one for the last of what is kept: light, and opacity less the
+// guide's (in the paper's mode radiance and opacity); then
 // albedo * opacity with opacity; then what the passes hand on.
 @group(0) @binding(17) var<storage, read_write> state: array<vec4<f32>>;
 // Per pixel: two halves of guides, see Key; then guides with the frames of both eyes.

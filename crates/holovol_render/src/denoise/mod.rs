@@ -6,23 +6,26 @@
 //! to; in motion it is biased. [`DenoiseMode::Paper`] is Cheng et al. 2023 as printed, biased
 //! always. docs/denoising.md explains both and says what they cost.
 
+mod buffers;
 #[cfg(any(test, feature = "testing"))]
 pub mod cpu;
+mod kernels;
+mod light;
 mod passes;
 mod settings;
 mod uniforms;
 
-use std::collections::HashMap;
+use std::sync::Arc;
 
 use bytemuck::Zeroable;
 use glam::DMat4;
-use wgpu::BindingResource as Resource;
-use wgpu::BufferUsages as Usage;
 
-use crate::layout::{storage, texture_2d_array, texture_3d, uniform};
-use crate::shader::{ShaderDefs, ShaderFile, shader_file};
-use crate::trace::shader_defs;
-use crate::{FrameImage, FrameTracer, Gpu, Interpolation, Medium, RenderError, View};
+use crate::shader::{ShaderFile, shader_file};
+use crate::{FrameImage, FrameTracer, Gpu, Medium, RenderError, View};
+use buffers::Buffers;
+pub use kernels::DenoiseKernels;
+use kernels::GuideKernel;
+pub use light::{LightChange, environment_change};
 use passes::Passes;
 pub(crate) use passes::pass_defs;
 #[cfg(test)]
@@ -52,9 +55,13 @@ const EDIT: f32 = 0.85;
 pub struct DenoiseFrame<'a> {
     /// Slots of the tracer: one, or the left and the right eye.
     pub slots: &'a [usize],
-    /// Change of illumination T since the last frame, 0 … 1: 0 none, 1 another light. Edits of the
-    /// medium are noticed without it.
+    /// Change of illumination T since the last frame, 0 … 1: 0 none, 1 another light;
+    /// [`LightChange`] tells it. Edits of the medium are noticed without it.
     pub light_change: f32,
+    /// Meshes at which paths end have changed.
+    pub meshes_changed: bool,
+    /// Factor from radiance to what is seen, 1 being white: darkness counts less.
+    pub exposure: f32,
     /// Forget all frames before: after a camera cut.
     pub reset: bool,
 }
@@ -69,50 +76,78 @@ struct Before {
 /// Denoises the images of one [`FrameTracer`].
 pub struct Denoiser {
     gpu: Gpu,
+    kernels: Arc<DenoiseKernels>,
     settings: DenoiseSettings,
-    passes: Passes,
-    guides: HashMap<ShaderDefs, (wgpu::BindGroupLayout, wgpu::ComputePipeline)>,
+    passes: Option<Arc<Passes>>,
     buffers: Option<Buffers>,
     before: Option<Before>,
+    /// Samples of every pixel since something has changed.
+    gathered: u32,
     half: u32,
     tile_half: u32,
 }
 
-struct Buffers {
-    sizes: Vec<[u32; 2]>,
-    uniform: wgpu::Buffer,
-    state: wgpu::Buffer,
-    keys: wgpu::Buffer,
-    counts: wgpu::Buffer,
-    tiles: wgpu::Buffer,
-    output: wgpu::Buffer,
-}
-
 impl Denoiser {
-    /// Compiles the passes of a mode; that of the guides is compiled with the first frame.
-    ///
-    /// # Errors
-    /// If the device fails.
-    pub fn new(gpu: &Gpu, settings: DenoiseSettings) -> Result<Self, RenderError> {
-        let passes = Passes::new(gpu, settings.mode, settings.pass_radius(), None)?;
-        Ok(Self {
+    /// A denoiser that has seen nothing; it needs no memory yet.
+    pub fn new(gpu: &Gpu, kernels: Arc<DenoiseKernels>, settings: DenoiseSettings) -> Self {
+        Self {
             gpu: gpu.clone(),
+            kernels,
             settings,
-            passes,
-            guides: HashMap::new(),
+            passes: None,
             buffers: None,
             before: None,
+            gathered: 0,
             half: 0,
             tile_half: 0,
-        })
+        }
     }
 
     /// Forgets all frames.
     pub fn reset(&mut self) {
         self.before = None;
+        self.gathered = 0;
+    }
+
+    /// Whether [`Denoiser::record`] would not have to wait for the compiler; asks for what is
+    /// missing. A march that fits any medium serves until the right one is there.
+    ///
+    /// # Errors
+    /// If something doesn't compile.
+    pub fn is_ready(&mut self, tracer: &FrameTracer) -> Result<bool, RenderError> {
+        Ok(self.compiled_passes()?.is_some() && self.compiled_guides(tracer)?.is_some())
+    }
+
+    /// Waits for the compiler, so that all frames are made by the same kernels: for tests and
+    /// servers.
+    ///
+    /// # Errors
+    /// If something doesn't compile.
+    pub fn wait_for_kernels(&mut self, tracer: &FrameTracer) -> Result<(), RenderError> {
+        self.compiled_passes()?;
+        let matter = tracer.matter();
+        self.kernels.guides(tracer.medium(), &matter, false)?;
+        self.kernels.wait();
+        self.compiled_passes().map(|_| ())
+    }
+
+    fn compiled_passes(&mut self) -> Result<Option<Arc<Passes>>, RenderError> {
+        if self.passes.is_none() {
+            self.passes = self.kernels.passes(&self.settings)?;
+        }
+        Ok(self.passes.clone())
+    }
+
+    fn compiled_guides(&self, tracer: &FrameTracer) -> Result<Option<GuideKernel>, RenderError> {
+        let matter = tracer.matter();
+        match self.kernels.guides(tracer.medium(), &matter, false)? {
+            None => self.kernels.guides(tracer.medium(), &matter, true),
+            special => Ok(special),
+        }
     }
 
     /// Records the passes for images that the tracer has recorded samples for in this encoder.
+    /// Waits for the compiler unless [`Denoiser::is_ready`] has said that it need not.
     ///
     /// Images that have changed their size, or another number of eyes, begin anew.
     ///
@@ -141,59 +176,45 @@ impl Denoiser {
         frame: &DenoiseFrame<'_>,
     ) -> Result<(), RenderError> {
         let images = images(tracer, frame.slots)?;
+        if !self.is_ready(tracer)? {
+            self.wait_for_kernels(tracer)?;
+        }
+        let guides = self.compiled_guides(tracer)?;
         let sizes: Vec<_> = images.iter().map(|image| image.size).collect();
+        if frame.reset || self.buffers.as_ref().is_none_or(|b| b.sizes != sizes) {
+            self.reset();
+        }
         if self.buffers.as_ref().is_none_or(|b| b.sizes != sizes) {
-            self.before = None;
+            // The old ones make room first.
             self.buffers = None;
             self.buffers = Some(Buffers::new(&self.gpu, &sizes)?);
         }
-        if frame.reset {
-            self.before = None;
-        }
         let medium = tracer.medium();
-        let same = self.is_same(&images, medium) && frame.light_change <= 0.0;
+        let views: Vec<_> = images.iter().map(|image| image.view).collect();
+        let same =
+            self.is_same(&views, medium) && frame.light_change <= 0.0 && !frame.meshes_changed;
         if !same {
             self.half = 1 - self.half;
+            self.gathered = 0;
         }
         self.tile_half = 1 - self.tile_half;
+        let samples = images.iter().map(|image| image.samples).min();
+        self.gathered = self.gathered.saturating_add(samples.unwrap_or(0));
         let uniform = self.uniform(&images, frame, medium, same);
-        let guides = self.guides_pipeline(tracer)?;
-        let Some(buffers) = &self.buffers else {
+        let (Some(buffers), Some(guides)) = (&self.buffers, guides) else {
             return Ok(());
         };
         let bytes = bytemuck::bytes_of(&uniform);
         self.gpu.queue.write_buffer(&buffers.uniform, 0, bytes);
         self.before = Some(Before {
-            views: images.iter().map(|image| image.view).collect(),
+            views,
             medium: medium.clone(),
         });
         if same {
             return Ok(());
         }
-        let (layout, pipeline) = guides;
-        let matter = tracer.matter();
-        let group = self.gpu.scoped("guides", 0, || {
-            let resources = [
-                (0, matter.buffers.scene.as_entire_binding()),
-                (2, Resource::TextureView(&matter.volume.view)),
-                (3, Resource::Sampler(&matter.buffers.field_sampler)),
-                (4, Resource::TextureView(&matter.majorants.view)),
-                (5, matter.majorants.occupied.as_entire_binding()),
-                (6, matter.buffers.points.as_entire_binding()),
-                (14, matter.buffers.views.as_entire_binding()),
-                (16, buffers.uniform.as_entire_binding()),
-                (17, buffers.state.as_entire_binding()),
-                (18, buffers.keys.as_entire_binding()),
-            ];
-            self.gpu
-                .numbered_group("holovol guides", &layout, resources)
-        })?;
-        let mut pass = compute_pass(encoder, "holovol guides");
-        pass.set_pipeline(&pipeline);
-        pass.set_bind_group(0, &group, &[]);
-        let [x, y] = workgroups(&sizes);
-        pass.dispatch_workgroups(x, y, sizes.len() as u32);
-        Ok(())
+        let written = [&buffers.uniform, &buffers.state, &buffers.keys];
+        guides.record(&self.gpu, encoder, &tracer.matter(), &sizes, written)
     }
 
     /// The second part of [`Denoiser::record`].
@@ -206,7 +227,7 @@ impl Denoiser {
         encoder: &mut wgpu::CommandEncoder,
         tracer: &FrameTracer,
     ) -> Result<(), RenderError> {
-        let Some(buffers) = &self.buffers else {
+        let (Some(buffers), Some(passes)) = (&self.buffers, &self.passes) else {
             return Ok(());
         };
         let resources = [
@@ -218,16 +239,28 @@ impl Denoiser {
             tracer.accumulators(),
             &buffers.output,
         ];
-        self.passes
-            .record(&self.gpu, encoder, &buffers.sizes, resources)
+        passes.record(&self.gpu, encoder, &buffers.sizes, resources)
     }
 
-    fn is_same(&self, images: &[FrameImage], medium: &Medium) -> bool {
-        self.before.as_ref().is_some_and(|before| {
-            before.medium == *medium
-                && before.views.len() == images.len()
-                && before.views.iter().zip(images).all(|(a, b)| *a == b.view)
-        })
+    /// Samples of every pixel since images, medium, light or meshes have changed.
+    pub fn samples(&self) -> u32 {
+        self.gathered
+    }
+
+    /// [`Denoiser::samples`] if these are still the views and the medium; else 0. Light and meshes
+    /// are the caller's to know.
+    pub fn gathered(&self, views: &[View], medium: &Medium) -> u32 {
+        if self.is_same(views, medium) {
+            self.gathered
+        } else {
+            0
+        }
+    }
+
+    fn is_same(&self, views: &[View], medium: &Medium) -> bool {
+        self.before
+            .as_ref()
+            .is_some_and(|before| before.medium == *medium && before.views == views)
     }
 
     fn uniform(
@@ -283,76 +316,25 @@ impl Denoiser {
         uniform.counts = [images.len() as u32, pixels, tiles, 0];
         let before = if same { self.half } else { 1 - self.half };
         uniform.halves = [self.half, before, self.tile_half, 0];
-        settings.fill(&mut uniform);
+        settings.fill(&mut uniform, frame.exposure);
         uniform
-    }
-
-    fn guides_pipeline(
-        &mut self,
-        tracer: &FrameTracer,
-    ) -> Result<(wgpu::BindGroupLayout, wgpu::ComputePipeline), RenderError> {
-        /// Definitions that change the march; others would compile it again for nothing.
-        const USED: &[&str] = &[
-            "CELL_SIZE",
-            "TRANSFER_POINTS",
-            "UNROLLED_POINTS",
-            "HARDWARE_INTERPOLATION",
-            "SLICES",
-            "CLIP_PLANES",
-            "CLIP_PLANES_MAX",
-            "VIEWS_MAX",
-        ];
-        let matter = tracer.matter();
-        let mut all = shader_defs(
-            &self.gpu,
-            tracer.medium(),
-            matter.options,
-            matter.surroundings,
-        );
-        let filtered = matter.options.interpolation == Interpolation::Hardware;
-        let slices = matter.volume.slices;
-        let key: ShaderDefs = all
-            .iter()
-            .copied()
-            .filter(|(name, _)| USED.contains(name))
-            .collect();
-        if let Some(found) = self.guides.get(&key) {
-            return Ok(found.clone());
-        }
-        all.extend(pass_defs(0));
-        let sampler = if filtered {
-            wgpu::SamplerBindingType::Filtering
-        } else {
-            wgpu::SamplerBindingType::NonFiltering
-        };
-        let field = if slices {
-            texture_2d_array(false)
-        } else {
-            texture_3d(filtered)
-        };
-        let layout = self.gpu.numbered_layout(
-            "holovol guides",
-            &[
-                (0, uniform()),
-                (2, field),
-                (3, wgpu::BindingType::Sampler(sampler)),
-                (4, texture_3d(false)),
-                (5, storage(true)),
-                (6, storage(true)),
-                (14, uniform()),
-                (16, uniform()),
-                (17, storage(false)),
-                (18, storage(false)),
-            ],
-        )?;
-        let pipeline = self.gpu.pipeline(&GUIDES, &all, "march", &layout)?;
-        self.guides.insert(key, (layout.clone(), pipeline.clone()));
-        Ok((layout, pipeline))
     }
 
     /// The denoised images, one after the other: premultiplied radiance and opacity, row by row.
     pub fn output(&self) -> Option<&wgpu::Buffer> {
         self.buffers.as_ref().map(|buffers| &buffers.output)
+    }
+
+    /// An eye's image in [`Denoiser::output`]; `None` before the first frame.
+    pub fn image(&self, eye: usize) -> Option<FrameImage> {
+        let view = *self.before.as_ref()?.views.get(eye)?;
+        let sizes = &self.buffers.as_ref()?.sizes;
+        Some(FrameImage {
+            first_pixel: sizes.iter().take(eye).map(|[w, h]| w * h).sum(),
+            size: *sizes.get(eye)?,
+            samples: 1,
+            view,
+        })
     }
 
     /// Reads the denoised images back and waits for them; empty before the first frame.
@@ -471,43 +453,4 @@ fn workgroups(sizes: &[[u32; 2]]) -> [u32; 2] {
         let largest = sizes.iter().map(|size| size[i]).max().unwrap_or(0);
         largest.div_ceil(TILE)
     })
-}
-
-impl Buffers {
-    fn new(gpu: &Gpu, sizes: &[[u32; 2]]) -> Result<Self, RenderError> {
-        let count = |side: u32| {
-            let of = |[width, height]: &[u32; 2]| {
-                u64::from(width.div_ceil(side)) * u64::from(height.div_ceil(side))
-            };
-            sizes.iter().map(of).sum::<u64>()
-        };
-        let (pixels, tiles) = (count(1), count(TILE));
-        let bytes = pixels * (16 * (STATE + KEYS + 1) + 8 * COUNTS) + 16 * TILES * tiles;
-        let limits = gpu.device.limits();
-        let limit = limits
-            .max_storage_buffer_binding_size
-            .min(limits.max_buffer_size);
-        if 16 * STATE * pixels > limit {
-            return Err(RenderError::OutOfMemory {
-                what: "denoising".into(),
-                bytes,
-            });
-        }
-        gpu.scoped("denoising", bytes, || {
-            let usage = Usage::STORAGE | Usage::COPY_SRC;
-            Self {
-                sizes: sizes.to_vec(),
-                uniform: gpu.empty(
-                    "holovol denoise",
-                    size_of::<DenoiseUniform>() as u64,
-                    Usage::UNIFORM | Usage::COPY_DST,
-                ),
-                state: gpu.empty("holovol denoise state", 16 * STATE * pixels, usage),
-                keys: gpu.empty("holovol denoise keys", 16 * KEYS * pixels, usage),
-                counts: gpu.empty("holovol denoise counts", 8 * COUNTS * pixels, usage),
-                tiles: gpu.empty("holovol denoise tiles", 16 * TILES * tiles, usage),
-                output: gpu.empty("holovol denoised", 16 * pixels, usage),
-            }
-        })
-    }
 }

@@ -1,6 +1,6 @@
 //! The passes that follow the guides, in both modes.
 
-use super::{DenoiseMode, FADE_FRAMES, TILE, workgroups};
+use super::{FADE_FRAMES, TILE, workgroups};
 use crate::layout::{storage, uniform};
 use crate::shader::{ShaderDefs, ShaderFile, shader_file};
 use crate::{Gpu, RenderError};
@@ -19,25 +19,25 @@ pub(crate) fn pass_defs(radius: u32) -> ShaderDefs {
 }
 
 impl Passes {
-    /// The entry points of a mode.
-    pub(super) fn entries(mode: DenoiseMode) -> &'static [&'static str] {
-        match mode {
-            DenoiseMode::Holovol => &[
-                "reproject",
-                "add_rows",
-                "judge",
-                "blend",
-                "stereo",
-                "gather",
-            ],
-            DenoiseMode::Paper(_) => &["near", "first_step", "second_step"],
+    /// The entry points of the paper's mode or ours.
+    pub(super) fn entries(paper: bool) -> &'static [&'static str] {
+        if paper {
+            return &["near", "first_step", "second_step"];
         }
+        &[
+            "reproject",
+            "add_rows",
+            "judge",
+            "blend",
+            "stereo",
+            "gather",
+        ]
     }
 
     /// Compiles all passes of a mode, or `only` one.
     pub(super) fn new(
         gpu: &Gpu,
-        mode: DenoiseMode,
+        paper: bool,
         radius: u32,
         only: Option<&'static str>,
     ) -> Result<Self, RenderError> {
@@ -47,12 +47,9 @@ impl Passes {
             .chain([storage(true), storage(false)]);
         let types: Vec<_> = (16..).zip(types).collect();
         let layout = gpu.numbered_layout("holovol denoise", &types)?;
-        let file = match mode {
-            DenoiseMode::Holovol => &HOLOVOL,
-            DenoiseMode::Paper(_) => &PAPER,
-        };
+        let file = if paper { &PAPER } else { &HOLOVOL };
         let defs = pass_defs(radius.min(8));
-        let pipelines = Self::entries(mode)
+        let pipelines = Self::entries(paper)
             .iter()
             .filter(|&&entry| only.is_none_or(|only| only == entry))
             .map(|&entry| Ok((entry, gpu.pipeline(file, &defs, entry, &layout)?)))

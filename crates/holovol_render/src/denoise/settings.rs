@@ -68,7 +68,7 @@ pub struct DenoiseSettings {
     pub correction: f32,
     /// How much a correction shortens the history.
     pub shortening: f32,
-    /// Radiance below which errors count absolutely.
+    /// Radiance times exposure below which errors count absolutely.
     pub dark: f32,
     /// Memory of the filter's weight, per frame.
     pub memory: f32,
@@ -105,7 +105,12 @@ impl DenoiseSettings {
         }
     }
 
-    pub(super) fn fill(&self, uniform: &mut DenoiseUniform) {
+    pub(super) fn is_paper(&self) -> bool {
+        matches!(self.mode, DenoiseMode::Paper(_))
+    }
+
+    pub(super) fn fill(&self, uniform: &mut DenoiseUniform, exposure: f32) {
+        let dark = self.dark / exposure.clamp(1e-15, 1e15);
         uniform.bias = match self.mode {
             DenoiseMode::Holovol => [
                 self.distance_bias,
@@ -117,12 +122,7 @@ impl DenoiseSettings {
         };
         let [frames, eyes] = self.strictness;
         uniform.across = [frames, eyes, self.eye_bias, self.first_variance];
-        uniform.tiles = [
-            self.correction,
-            self.shortening,
-            self.dark * self.dark,
-            self.memory,
-        ];
+        uniform.tiles = [self.correction, self.shortening, dark * dark, self.memory];
         uniform.edges = [self.light_bias, 0.0, 0.0, 0.0];
     }
 }

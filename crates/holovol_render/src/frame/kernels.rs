@@ -1,11 +1,8 @@
-//! Compiled variants of the tracer, made on a thread of their own.
-
-use std::collections::HashMap;
-use std::sync::mpsc::{Sender, channel};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+//! Compiled variants of the tracer.
 
 use crate::shader::ShaderDefs;
 use crate::trace::{TRACE, layout};
+use crate::variants::Variants;
 use crate::{Gpu, Interpolation, RenderError};
 
 /// What one variant of the tracer consists of.
@@ -13,13 +10,6 @@ use crate::{Gpu, Interpolation, RenderError};
 pub(crate) struct FrameKernels {
     pub(crate) trace: wgpu::ComputePipeline,
     pub(crate) resume: wgpu::ComputePipeline,
-}
-
-#[derive(Clone)]
-enum Variant {
-    Pending,
-    Ready(FrameKernels),
-    Failed(String),
 }
 
 /// What decides a variant, its layout included.
@@ -30,19 +20,10 @@ struct Key {
     slices: bool,
 }
 
-#[derive(Default)]
-struct Shared {
-    variants: Mutex<HashMap<Key, Variant>>,
-    changed: Condvar,
-}
-
 /// The tracer's compiled variants on one device; all volumes share them.
 ///
 /// Asking for one never waits: it is compiled on a worker, and until then another serves.
-pub struct Kernels {
-    shared: Arc<Shared>,
-    jobs: Sender<Key>,
-}
+pub struct Kernels(Variants<Key, FrameKernels>);
 
 impl Kernels {
     /// Starts the worker; it ends with this.
@@ -50,26 +31,8 @@ impl Kernels {
     /// # Errors
     /// If the system gives no thread.
     pub fn new(gpu: &Gpu) -> Result<Self, RenderError> {
-        let shared = Arc::new(Shared::default());
-        let (jobs, queue) = channel::<Key>();
-        let (gpu, results) = (gpu.clone(), Arc::clone(&shared));
-        std::thread::Builder::new()
-            .name("holovol kernels".into())
-            .spawn(move || {
-                for key in queue {
-                    let variant = match compile(&gpu, &key) {
-                        Ok(kernels) => Variant::Ready(kernels),
-                        Err(error) => Variant::Failed(error.to_string()),
-                    };
-                    lock(&results.variants).insert(key, variant);
-                    results.changed.notify_all();
-                }
-            })
-            .map_err(|error| RenderError::Internal {
-                what: "the thread that compiles kernels".into(),
-                reason: error.to_string(),
-            })?;
-        Ok(Self { shared, jobs })
+        let gpu = gpu.clone();
+        Variants::new("holovol kernels", move |key| compile(&gpu, key)).map(Self)
     }
 
     /// A variant if it is there; else it will be compiled.
@@ -79,51 +42,16 @@ impl Kernels {
         interpolation: Interpolation,
         slices: bool,
     ) -> Result<Option<FrameKernels>, RenderError> {
-        let key = Key {
+        self.0.get(&Key {
             defs: defs.clone(),
             filtered: interpolation == Interpolation::Hardware,
             slices,
-        };
-        let mut variants = lock(&self.shared.variants);
-        match variants.get(&key) {
-            Some(Variant::Ready(kernels)) => Ok(Some(kernels.clone())),
-            Some(Variant::Pending) => Ok(None),
-            Some(Variant::Failed(reason)) => Err(failed(reason.clone())),
-            None => {
-                variants.insert(key.clone(), Variant::Pending);
-                drop(variants);
-                self.jobs
-                    .send(key)
-                    .map(|()| None)
-                    .map_err(|_| failed("its thread has ended".into()))
-            }
-        }
+        })
     }
 
     /// Waits until all variants that were asked for are compiled: for tests and servers.
     pub fn wait(&self) {
-        let mut variants = lock(&self.shared.variants);
-        while variants
-            .values()
-            .any(|variant| matches!(variant, Variant::Pending))
-        {
-            variants = self
-                .shared
-                .changed
-                .wait(variants)
-                .unwrap_or_else(PoisonError::into_inner);
-        }
-    }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-fn failed(reason: String) -> RenderError {
-    RenderError::Internal {
-        what: TRACE.path.into(),
-        reason,
+        self.0.wait();
     }
 }
 

@@ -44,6 +44,8 @@ pub(crate) struct Matter<'a> {
     pub(crate) buffers: &'a Buffers,
     pub(crate) options: &'a TraceOptions,
     pub(crate) surroundings: Surroundings,
+    /// One texel of it while no mesh is in the way.
+    pub(crate) mesh_depth: &'a wgpu::TextureView,
 }
 
 /// One volume in an app's frames.
@@ -486,8 +488,9 @@ impl FrameTracer {
                 constant_environment: self.environment.is_constant(),
                 has_density: self.environment.has_density(),
                 slices: self.volume.slices,
-                mesh_depth: false,
+                mesh_depth: self.slots.iter().any(|slot| slot.mesh_depth.is_some()),
             },
+            mesh_depth: self.buffers.mesh_depth(self.bound_mesh_depth.as_ref()),
         }
     }
 

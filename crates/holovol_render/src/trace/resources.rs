@@ -107,6 +107,14 @@ impl Buffers {
         self.accumulators.size() / PIXEL_BYTES
     }
 
+    /// A texture of mesh depth, or one texel in its place.
+    pub(crate) fn mesh_depth<'a>(
+        &'a self,
+        texture: Option<&'a wgpu::TextureView>,
+    ) -> &'a wgpu::TextureView {
+        texture.unwrap_or(&self.no_mesh_depth)
+    }
+
     /// Writes what a medium says; its points take another buffer.
     pub(crate) fn set_medium(
         &mut self,
@@ -151,7 +159,7 @@ impl Buffers {
             true => part(&self.guides, GUIDE_BYTES),
             false => self.guides.as_entire_binding(),
         };
-        let mesh_depth = mesh_depth.unwrap_or(&self.no_mesh_depth);
+        let mesh_depth = self.mesh_depth(mesh_depth);
         gpu.scoped("the image", 0, || {
             [[0, 1], [1, 0]].map(|[resumed, saved]: [usize; 2]| {
                 let resources = [

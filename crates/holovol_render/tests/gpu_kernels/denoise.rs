@@ -5,8 +5,9 @@ use std::sync::Arc;
 use glam::DVec3;
 use holovol_render::wgpu;
 use holovol_render::{
-    DenoiseFrame, DenoiseMode, DenoiseSettings, Denoiser, FrameTracer, Gpu, GpuEnvironment,
-    GpuVolume, Interpolation, Kernels, Medium, PaperSettings, TraceOptions, View, ViewFrame,
+    DenoiseFrame, DenoiseKernels, DenoiseMode, DenoiseSettings, Denoiser, FrameTracer, Gpu,
+    GpuEnvironment, GpuVolume, Interpolation, Kernels, Medium, PaperSettings, TraceOptions, View,
+    ViewFrame,
 };
 use holovol_scene::Camera;
 use holovol_volume::TransferFunction;
@@ -67,7 +68,8 @@ impl<'a> Rig<'a> {
     }
 
     fn denoiser(&self, mode: DenoiseMode) -> Result<Denoiser, String> {
-        Denoiser::new(self.gpu, settings(mode)).map_err(text)
+        let kernels = DenoiseKernels::new(self.gpu).map_err(text)?;
+        Ok(Denoiser::new(self.gpu, Arc::new(kernels), settings(mode)))
     }
 
     fn submit(&self, encoder: wgpu::CommandEncoder) -> Result<(), String> {
@@ -112,8 +114,11 @@ impl<'a> Rig<'a> {
         let frame = DenoiseFrame {
             slots,
             light_change: 0.0,
+            meshes_changed: false,
+            exposure: 1.0,
             reset: false,
         };
+        denoiser.wait_for_kernels(&self.tracer).map_err(text)?;
         denoiser
             .record(&mut encoder, &self.tracer, &frame)
             .map_err(text)?;

@@ -106,10 +106,11 @@ impl Memory {
         found
     }
 
-    fn new_light(&self, eye: usize, pixel: usize, scale: Vec3) -> Option<Vec4> {
+    fn new_light(&self, eye: usize, pixel: usize) -> Option<Vec4> {
         let mean = self.sample(eye, pixel)?;
+        let scale = self.albedo(pixel) + ALBEDO_FLOOR;
         let light = (mean.truncate() / scale).clamp(Vec3::ZERO, Vec3::splat(LARGEST));
-        Some(light.extend(mean.w))
+        Some(light.extend(mean.w - self.opacity(pixel)))
     }
 
     fn history_of(&self, eye: usize, position: UVec2, pixel: usize) -> Fetched {
@@ -148,7 +149,7 @@ impl Memory {
             m.counts[both] = Vec2::new(before.frames, before.filtered);
             let scale = m.albedo(pixel) + ALBEDO_FLOOR;
             let is_met = m.key(m.now() + pixel).albedo > 0.0;
-            let Some(light) = m.new_light(eye, pixel, scale) else {
+            let Some(light) = m.new_light(eye, pixel) else {
                 return;
             };
             if !(is_met && before.frames > 0.0) {
@@ -256,7 +257,6 @@ impl Memory {
 
     pub(super) fn blend(&mut self) {
         self.each_pixel(|m, eye, position, pixel| {
-            let scale = m.albedo(pixel) + ALBEDO_FLOOR;
             let mut old = m.state[m.scratch(pixel)];
             let mut frames = m.counts[m.both(pixel)].x;
             if m.history(eye) == History::Moved as u32 && frames > 0.0 {
@@ -264,7 +264,7 @@ impl Memory {
                 old = (old.truncate() * (1.0 + tile.truncate())).extend(old.w);
                 frames /= 1.0 + frames * tile.w;
             }
-            if let Some(light) = m.new_light(eye, pixel, scale) {
+            if let Some(light) = m.new_light(eye, pixel) {
                 old += (light - old) / (frames + 1.0);
                 frames += 1.0;
             } else if frames == 0.0 {
@@ -316,7 +316,8 @@ impl Memory {
             }
             let at = m.now() + pixel;
             m.counts[at].y = mean_rgb(filtered.truncate() * scale) / mean_rgb(scale);
-            m.output[pixel] = (result.truncate() * scale).extend(result.w.clamp(0.0, 1.0));
+            let opacity = (result.w + m.opacity(pixel)).clamp(0.0, 1.0);
+            m.output[pixel] = (result.truncate() * scale).extend(opacity);
         });
     }
 

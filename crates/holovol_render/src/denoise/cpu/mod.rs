@@ -163,6 +163,10 @@ impl Memory {
         self.state[2 * self.pixels() + pixel].truncate()
     }
 
+    fn opacity(&self, pixel: usize) -> f32 {
+        self.state[2 * self.pixels() + pixel].w
+    }
+
     fn scratch(&self, pixel: usize) -> usize {
         3 * self.pixels() + pixel
     }
@@ -279,7 +283,7 @@ impl Memory {
         }
         uniform.counts = [2, pixels, tiles, 0];
         uniform.halves = [0, u32::from(before != Before::Same), 1, 0];
-        settings.fill(&mut uniform);
+        settings.fill(&mut uniform, 1.0);
         let (count, tile_count) = (pixels as usize, tiles as usize);
         let mut four = |low: f32, high: f32| {
             let mut side = || low + (high - low) * number();
@@ -330,9 +334,13 @@ impl Memory {
         }
     }
 
+    fn is_paper(&self) -> bool {
+        matches!(self.mode, DenoiseMode::Paper(_))
+    }
+
     /// Names of the passes, in their order.
     pub fn passes(&self) -> Vec<&'static str> {
-        Passes::entries(self.mode).to_vec()
+        Passes::entries(self.is_paper()).to_vec()
     }
 
     /// Runs a pass's twin.
@@ -359,7 +367,7 @@ impl Memory {
     /// # Errors
     /// If it doesn't compile or the device fails.
     pub fn run_kernel(&mut self, gpu: &Gpu, pass: &'static str) -> Result<(), RenderError> {
-        let passes = Passes::new(gpu, self.mode, self.radius, Some(pass))?;
+        let passes = Passes::new(gpu, self.is_paper(), self.radius, Some(pass))?;
         let sizes = [0, 1].map(|eye| self.size(eye).to_array());
         let contents: [&[u8]; 7] = [
             bytemuck::bytes_of(&self.uniform),

@@ -2,7 +2,7 @@
 // cells that are not empty. The field is looked up once a step; the transfer function is evaluated
 // at several places between, as if the field were linear there.
 
-#import holovol_render::bindings::{scene, views}
+#import holovol_render::bindings::{scene, views, mesh_depth_texture}
 #import holovol_render::field::{field_at, field_gradient}
 #import holovol_render::transfer_function::{transfer_sigma_t, transfer_material}
 #import holovol_render::walk::{walk_start, walk_majorant, load_occupied}
@@ -20,6 +20,35 @@ const OPAQUE: f32 = 0.04;
 // The normal is taken where this transmittance is reached.
 const NORMAL_TRANSMITTANCE: f32 = 0.6;
 const CELL_SIZE: f32 = #{CELL_SIZE}.0;
+const NEVER: f32 = 3e38;
+
+#if MESH_DEPTH == 1
+// Depths of the nearest and of the farthest opaque mesh among a pixel's samples, and the share of
+// samples that reach the farthest.
+fn mesh_ends(slot: u32, position: vec2<f32>) -> vec3<f32> {
+    let map = views[slot].mesh_depth;
+    if map.w == 0u {
+        return vec3<f32>(NEVER, NEVER, 1.0);
+    }
+    let size = vec2<f32>(map.xy);
+    let texel = clamp(position * size / vec2<f32>(views[slot].image.xy), vec2<f32>(0.0), size - 1.0);
+    var near = NEVER;
+    var far = 0.0;
+    for (var k = 0u; k < map.w; k += 1u) {
+        let depth = textureLoad(mesh_depth_texture, vec2<u32>(texel), map.z + k, 0).x;
+        near = min(near, depth);
+        far = max(far, depth);
+    }
+    // Half way between the two, or not far behind the nearer if there is nothing behind it.
+    let middle = min(0.5 * near + 0.5 * far, 2.0 * near);
+    var behind = 0.0;
+    for (var k = 0u; k < map.w; k += 1u) {
+        let depth = textureLoad(mesh_depth_texture, vec2<u32>(texel), map.z + k, 0).x;
+        behind += select(0.0, 1.0, depth >= middle);
+    }
+    return vec3<f32>(near, far, behind / f32(map.w));
+}
+#endif
 
 @compute @workgroup_size(64)
 fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
@@ -39,7 +68,11 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     // Distances along the ray are depths along the eye's axis, from near on.
     let near = views[slot].forward.w;
     let length_world = length(world);
-    let walk = walk_start(origin, texel, 0.0, 0.0);
+    var walk = walk_start(origin, texel, 0.0, 0.0);
+#if MESH_DEPTH == 1
+    let ends = mesh_ends(slot, p) - vec3<f32>(near, near, 0.0);
+    walk.t_end = min(walk.t_end, ends.y);
+#endif
     let texels_per_depth = max(length(texel), 1e-30);
     let range = walk.t_end - walk.t_cell;
     let dt = max(STEP / texels_per_depth, range / MAX_STEPS);
@@ -49,6 +82,9 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     let last_cell = vec3<i32>(scene.cells.xyz) - 1;
 
     var transmittance = 1.0;
+    // Of the samples that no mesh has ended.
+    var left = 1.0;
+    var opacity = 0.0;
     var albedo = vec3<f32>(0.0);
     // Of depths behind the entry: their variance outlives rounding.
     var sum = 0.0;
@@ -76,12 +112,23 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         for (var k = 0u; k < PARTS; k += 1u) {
             let part = (f32(k) + 0.5) / f32(PARTS);
             let value = mix(s, next, part);
-            let weight = transmittance * (1.0 - exp(-transfer_sigma_t(value) * metres));
+            let sigma_t = transfer_sigma_t(value);
+            let taken = transmittance * (1.0 - exp(-sigma_t * metres));
             let depth = t - walk.t_cell + part * dt;
+#if MESH_DEPTH == 1
+            // What of this part lies before the meshes.
+            let reach = clamp((ends.xy - t) / dt * f32(PARTS) - f32(k), vec2<f32>(0.0), vec2<f32>(1.0));
+            let seen = transmittance * (1.0 - exp(-sigma_t * metres * reach));
+            let weight = mix(seen.x, seen.y, ends.z);
+            left = mix(reach.x, reach.y, ends.z);
+#else
+            let weight = taken;
+#endif
+            opacity += weight;
             albedo += weight * transfer_material(value).albedo;
             sum += weight * depth;
             sum2 += weight * depth * depth;
-            transmittance -= weight;
+            transmittance -= taken;
             if normal_depth < 0.0 && transmittance < NORMAL_TRANSMITTANCE {
                 normal_depth = depth;
             }
@@ -90,15 +137,15 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         known = true;
         t += dt;
     }
-    var opacity = 1.0 - transmittance;
     let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
     var key = Key(0.0, vec3<f32>(0.0, 0.0, 1.0), 0.0, 0.0, 0.0);
     if opacity > 1e-4 {
         let mean = sum / opacity;
         let variance = max(sum2 / opacity - mean * mean, 0.0);
         if transmittance <= OPAQUE {
-            albedo /= opacity;
-            opacity = 1.0;
+            let all = opacity + left * transmittance;
+            albedo *= all / opacity;
+            opacity = all;
         }
         let at = walk.t_cell + select(mean, normal_depth, normal_depth >= 0.0);
         let gradient = field_gradient(origin + at * texel);

@@ -13,6 +13,8 @@ const NO_WEIGHT: f32 = 0.02;
 const LIGHT_NOISE: f32 = 0.04;
 // Pixels to each side that the last pass filters over.
 const RADIUS: i32 = #{RADIUS};
+// In place of an opacity: a sample was not finite.
+const NOT_FINITE: f32 = -2.0;
 // Loops of one round stand for branches here: software rasterisers run both sides of a branch, but
 // leave a loop that no lane wants.
 
@@ -77,15 +79,17 @@ fn position_of(eye: u32, pixel: vec2<u32>, depth: f32) -> vec4<f32> {
     return vec4<f32>(depth * ray.xyz, 1.0);
 }
 
-// This frame's light and opacity of a pixel; opacity -1 if a sample was not finite.
-fn new_light(eye: u32, pixel: u32, scale: vec3<f32>) -> vec4<f32> {
+// This frame's light of a pixel, and its opacity less that of its guide: what is kept of opacity is
+// what guides don't know. NOT_FINITE if a sample was not.
+fn new_light(eye: u32, pixel: u32, guide: vec4<f32>) -> vec4<f32> {
     let in_eye = pixel - denoise.eyes[eye].image.w + denoise.eyes[eye].image.z;
     let sum = noisy[2u * in_eye] + noisy[2u * in_eye + 1u];
     let mean = sum / f32(max(denoise.eyes[eye].frame.x, 1u));
     if !all_finite(mean) {
-        return vec4<f32>(0.0, 0.0, 0.0, -1.0);
+        return vec4<f32>(0.0, 0.0, 0.0, NOT_FINITE);
     }
-    return vec4<f32>(clamp(mean.rgb / scale, vec3<f32>(0.0), vec3<f32>(LARGEST)), mean.a);
+    let light = clamp(mean.rgb / (guide.rgb + ALBEDO_FLOOR), vec3<f32>(0.0), vec3<f32>(LARGEST));
+    return vec4<f32>(light, mean.a - guide.a);
 }
 
 // 1. What this frame's samples and the history say of each pixel, and of each row of a tile. A lane
@@ -109,8 +113,9 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
         counts[both_at(pixel)] = vec2<f32>(before.frames, before.filtered);
         let is_met = bitcast<f32>(keys[half_now() + pixel].x) > 0.0;
         for (var once = is_met && before.frames > 0.0; once; once = false) {
-            let scale = state[albedo_at(pixel)].rgb + ALBEDO_FLOOR;
-            let light = new_light(eye, pixel, scale);
+            let guide = state[albedo_at(pixel)];
+            let scale = guide.rgb + ALBEDO_FLOOR;
+            let light = new_light(eye, pixel, guide);
             let old = before.light.rgb * scale;
             let difference = light.rgb * scale - old;
             let d = mean_rgb(difference);
@@ -118,7 +123,7 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
             let filtered = before.filtered * mean_rgb(scale);
             let by_filter = filtered - mean;
             let w = 1.0 / (filtered * filtered + denoise.tiles.z);
-            if light.a >= 0.0 {
+            if light.a > NOT_FINITE {
                 sums[0] += vec4<f32>(difference, d * d);
                 sums[1] += vec4<f32>(old, mean * mean);
                 sums[2] += vec4<f32>(d * by_filter * w, by_filter * by_filter * w, d * d * w, 1.0);
@@ -249,8 +254,7 @@ fn blend(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         return;
     }
     let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
-    let scale = state[albedo_at(pixel)].rgb + ALBEDO_FLOOR;
-    let light = new_light(eye, pixel, scale);
+    let light = new_light(eye, pixel, state[albedo_at(pixel)]);
     var old = state[scratch_at(pixel)];
     let count = counts[both_at(pixel)];
     var frames = count.x;
@@ -259,7 +263,7 @@ fn blend(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         old = vec4<f32>(old.rgb * (1.0 + tile.rgb), old.a);
         frames /= 1.0 + frames * tile.w;
     }
-    if light.a >= 0.0 {
+    if light.a > NOT_FINITE {
         old += (light - old) / (frames + 1.0);
         frames += 1.0;
     } else if frames == 0.0 {
@@ -325,7 +329,8 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
     let first = denoise.eyes[eye].image.w;
     let pixel = first + position.x + size.x * position.y;
     let own = state[half_now() + pixel];
-    let scale = state[albedo_at(pixel)].rgb + ALBEDO_FLOOR;
+    let albedo = state[albedo_at(pixel)];
+    let scale = albedo.rgb + ALBEDO_FLOOR;
     let words = keys[both_at(pixel)];
     var result = own;
     var filtered = own;
@@ -365,5 +370,5 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
         result = mix(own, filtered, weight);
     }
     counts[half_now() + pixel].y = mean_rgb(filtered.rgb * scale) / mean_rgb(scale);
-    output[pixel] = vec4<f32>(result.rgb * scale, clamp(result.a, 0.0, 1.0));
+    output[pixel] = vec4<f32>(result.rgb * scale, clamp(result.a + albedo.a, 0.0, 1.0));
 }
