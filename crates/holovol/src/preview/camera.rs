@@ -1,7 +1,7 @@
 //! The camera: around the scan, or flying through it; by mouse, touchpad, touch and keys.
 
 use bevy::input::gestures::PinchGesture;
-use bevy::input::mouse::{AccumulatedMouseMotion, MouseScrollUnit, MouseWheel};
+use bevy::input::mouse::{MouseScrollUnit, MouseWheel};
 use bevy::prelude::*;
 use bevy_egui::input::{egui_wants_any_keyboard_input, egui_wants_any_pointer_input};
 use serde::{Deserialize, Serialize};
@@ -148,7 +148,7 @@ fn pointer(
     mut cameras: Query<&mut Orbit>,
     buttons: Res<ButtonInput<MouseButton>>,
     keys: Res<ButtonInput<KeyCode>>,
-    motion: Res<AccumulatedMouseMotion>,
+    mut moved: MessageReader<CursorMoved>,
     mut wheel: MessageReader<MouseWheel>,
     mut pinch: MessageReader<PinchGesture>,
     windows: Query<&Window>,
@@ -160,11 +160,13 @@ fn pointer(
     let pans = buttons.any_pressed([MouseButton::Right, MouseButton::Middle])
         || (buttons.pressed(MouseButton::Left)
             && keys.any_pressed([KeyCode::ShiftLeft, KeyCode::ShiftRight]));
-    if motion.delta != Vec2::ZERO {
+    // Not the device's own motion: tablets, remote desktops and virtual machines tell places only.
+    let delta: Vec2 = moved.read().filter_map(|event| event.delta).sum();
+    if delta != Vec2::ZERO {
         if pans {
-            orbit.pan(motion.delta, height);
+            orbit.pan(delta, height);
         } else if buttons.pressed(MouseButton::Left) {
-            orbit.turn(motion.delta);
+            orbit.turn(delta);
         }
     }
     for event in wheel.read() {

@@ -8,6 +8,7 @@ use bevy_holovol::prelude::*;
 
 use super::camera::Orbit;
 use super::pictures::Pictures;
+use super::settings::Settings;
 
 /// Samples per pixel at which a resting view is done.
 pub(crate) const RESTING_SAMPLES: u32 = 2048;
@@ -16,7 +17,11 @@ pub(crate) const RESTING_SAMPLES: u32 = 2048;
 const MOTION_BUDGET: f32 = 1.0 / 30.0;
 /// Nor one at rest, so that the next motion is noticed.
 const REST_BUDGET: f32 = 1.0 / 12.0;
-const SCALES: std::ops::RangeInclusive<f32> = 0.1..=1.0;
+/// Pixels of the image per pixel of the window in motion. A ladder, each step twice the cost of the
+/// one before: an image of another size has no history to be denoised with.
+const SCALES: [f32; 8] = [0.0884, 0.125, 0.177, 0.25, 0.354, 0.5, 0.707, 1.0];
+/// Frames that a step is kept at least.
+const STEADY_FRAMES: u32 = 5;
 const MAX_SAMPLES_PER_FRAME: u32 = 16;
 /// Seconds without change after which a view rests.
 const REST_AFTER: f32 = 0.25;
@@ -39,8 +44,10 @@ impl Plugin for QualityPlugin {
 /// How finely a moving view is drawn on this machine.
 #[derive(Resource, Debug)]
 pub(crate) struct Quality {
-    /// Pixels of the image per pixel of the window, in motion.
-    motion_scale: f32,
+    /// Index into [`SCALES`].
+    motion_step: usize,
+    /// Frames in motion since it changed.
+    frames_at_step: u32,
     samples: u32,
     since_change: f32,
     /// Half the resolution, on the way to all of it.
@@ -59,7 +66,8 @@ impl Default for Quality {
     fn default() -> Self {
         Self {
             // Coarse, so that there is something to see at once.
-            motion_scale: 0.25,
+            motion_step: 3,
+            frames_at_step: 0,
             samples: 1,
             since_change: 0.0,
             is_half: false,
@@ -84,20 +92,43 @@ impl Quality {
             self.since_change + seconds
         };
         if self.is_moving() && was_moving {
-            // Cost goes with pixels: the square of the scale. Slowly, against swinging.
-            let step = (MOTION_BUDGET / self.frame_seconds).sqrt().clamp(0.8, 1.1);
-            self.motion_scale = (self.motion_scale * step).clamp(*SCALES.start(), *SCALES.end());
+            self.frames_at_step += 1;
+            self.choose_step();
         }
         if self.is_moving() {
             self.samples = 1;
-            let full = self.frame_seconds / (self.motion_scale * self.motion_scale);
-            self.is_half = self.motion_scale < 0.5 && full > SLOW_FRAME;
+            let scale = SCALES[self.motion_step];
+            let full = self.frame_seconds / (scale * scale);
+            self.is_half = scale < 0.5 && full > SLOW_FRAME;
         } else if self.is_half {
             self.is_half = self.since_change < HALF_UNTIL;
         } else if self.frame_seconds < 0.5 * REST_BUDGET {
             self.samples = (2 * self.samples).min(MAX_SAMPLES_PER_FRAME);
         } else if self.frame_seconds > REST_BUDGET {
             self.samples = (self.samples / 2).max(1);
+        }
+    }
+
+    /// One step up where that keeps the budget, as many down as it takes.
+    fn choose_step(&mut self) {
+        if self.frames_at_step < STEADY_FRAMES {
+            return;
+        }
+        let now = self.motion_step;
+        // Cost goes with pixels.
+        let seconds = |step: usize| self.frame_seconds * (SCALES[step] / SCALES[now]).powi(2);
+        let step = if self.frame_seconds > 1.2 * MOTION_BUDGET {
+            let fits = |&step: &usize| seconds(step) <= MOTION_BUDGET;
+            (0..now).rev().find(fits).unwrap_or(0)
+        } else if now + 1 < SCALES.len() && seconds(now + 1) < 0.9 * MOTION_BUDGET {
+            now + 1
+        } else {
+            now
+        };
+        if step != now {
+            self.frame_seconds = seconds(step);
+            self.motion_step = step;
+            self.frames_at_step = 0;
         }
     }
 
@@ -125,7 +156,7 @@ impl Quality {
 
     fn scale(&self) -> f32 {
         if self.is_moving() {
-            self.motion_scale
+            SCALES[self.motion_step]
         } else if self.is_half {
             0.5
         } else {
@@ -175,6 +206,7 @@ fn adapt(
     planes: Query<(), (With<VolumeClipPlane>, Changed<GlobalTransform>)>,
     mut input: Input,
     pictures: Res<Pictures>,
+    program: Res<Settings>,
 ) {
     let is_used = input.is_used();
     let is_working = pictures.progress().is_some();
@@ -200,9 +232,14 @@ fn adapt(
             quality.samples
         };
         let scale = quality.scale();
-        if settings.resolution_scale != scale || settings.samples != samples {
+        let (mode, denoiser) = (program.noise.mode(), program.noise.denoiser());
+        let is_as_wanted = settings.resolution_scale == scale
+            && (settings.samples, settings.mode, settings.denoiser) == (samples, mode, denoiser);
+        if !is_as_wanted {
             settings.resolution_scale = scale;
             settings.samples = samples;
+            settings.mode = mode;
+            settings.denoiser = denoiser;
         }
     }
 }
@@ -228,8 +265,14 @@ mod tests {
             let mut quality = Quality::default();
             let seconds = after(200, full, &mut quality, true);
             assert!(seconds < 1.3 * MOTION_BUDGET, "{full}: {seconds}");
-            let is_fine = quality.motion_scale == 1.0 || seconds > 0.7 * MOTION_BUDGET;
+            let is_fine = quality.scale() == 1.0 || 2.0 * seconds > 0.85 * MOTION_BUDGET;
             assert!(is_fine, "{full}: no coarser than needed, {quality:?}");
+            // It stays where it is.
+            let step = quality.motion_step;
+            for _ in 0..100 {
+                after(1, full, &mut quality, true);
+                assert_eq!(quality.motion_step, step, "{full}");
+            }
         }
     }
 

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use bevy::prelude::*;
+use bevy_holovol::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::camera::Orbit;
@@ -19,10 +20,57 @@ pub(crate) struct Settings {
     pub(crate) is_light: bool,
     /// Size of the panel: 1 is the desktop's.
     pub(crate) zoom: f32,
+    pub(crate) noise: Noise,
     /// Of the scans looked at last, the last first.
     bookmarks: Vec<Bookmarks>,
     #[serde(skip)]
     place: Option<PathBuf>,
+}
+
+/// What becomes of the noise of a view of few samples.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Noise {
+    /// It is left as it is; a resting view gathers samples.
+    Left,
+    /// Taken out as Cheng et al. 2023 do.
+    Paper,
+    #[default]
+    Holovol,
+}
+
+impl Noise {
+    pub(crate) const ALL: [(Self, &str, &str); 3] = [
+        (
+            Self::Left,
+            "left",
+            "Every sample as it was traced; a resting view gathers them",
+        ),
+        (
+            Self::Paper,
+            "paper",
+            "As Cheng et al. 2023: to compare with; blurred also at rest",
+        ),
+        (
+            Self::Holovol,
+            "removed",
+            "By neighbours and earlier frames; at rest it becomes exact",
+        ),
+    ];
+
+    pub(crate) fn mode(self) -> VolumeRenderMode {
+        match self {
+            Self::Left => VolumeRenderMode::Progressive,
+            Self::Paper | Self::Holovol => VolumeRenderMode::Denoised,
+        }
+    }
+
+    pub(crate) fn denoiser(self) -> VolumeDenoiser {
+        match self {
+            Self::Paper => VolumeDenoiser::Paper,
+            Self::Left | Self::Holovol => VolumeDenoiser::Holovol,
+        }
+    }
 }
 
 /// Places to look at one scan from.
@@ -46,6 +94,7 @@ impl Default for Settings {
             recent: Vec::new(),
             is_light: false,
             zoom: 1.0,
+            noise: Noise::default(),
             bookmarks: Vec::new(),
             place: None,
         }

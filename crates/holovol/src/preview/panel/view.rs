@@ -5,6 +5,7 @@ use bevy_egui::egui;
 use glam::DVec3;
 
 use super::super::camera::Orbit;
+use super::super::settings::Noise;
 use super::super::slices::direction_name;
 use super::{Panel, Shown};
 
@@ -21,6 +22,7 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
             ui.selectable_value(scatters, value, text);
         }
     });
+    noise(ui, shown);
     exposure(ui, panel, shown);
     let is_patient = shown
         .studio
@@ -82,6 +84,21 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
     });
     if let (Some(index), Some(scan)) = (removed, &shown.studio.scan) {
         shown.settings.remove_bookmark(scan, index);
+    }
+}
+
+fn noise(ui: &mut egui::Ui, shown: &mut Shown) {
+    let mut chosen = shown.settings.noise;
+    ui.horizontal(|ui| {
+        ui.label("noise is");
+        for (noise, name, what) in Noise::ALL {
+            ui.selectable_value(&mut chosen, noise, name)
+                .on_hover_text(what);
+        }
+    });
+    if chosen != shown.settings.noise {
+        shown.settings.noise = chosen;
+        shown.settings.save();
     }
 }
 
