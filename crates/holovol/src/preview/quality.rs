@@ -308,7 +308,7 @@ mod tests {
         assert_eq!((quality.scale(), quality.samples), (1.0, 1));
         // Where that is slow, half of it comes first.
         after(100, 2.0, &mut quality, true);
-        after(12, 2.0, &mut quality, false);
+        after(16, 2.0, &mut quality, false);
         assert_eq!(quality.scale(), 0.5);
         after(20, 2.0, &mut quality, false);
         assert_eq!(quality.scale(), 1.0);
