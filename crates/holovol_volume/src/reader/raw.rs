@@ -82,6 +82,18 @@ fn is_zero_f64(number: &f64) -> bool {
     *number == 0.0
 }
 
+/// A scene that was saved under its scan's name lies where a sidecar would.
+fn is_scene(text: &str) -> bool {
+    #[derive(Deserialize)]
+    struct Scene {
+        #[serde(rename = "volume")]
+        _volume: serde::de::IgnoredAny,
+        #[serde(rename = "camera")]
+        _camera: serde::de::IgnoredAny,
+    }
+    serde_json::from_str::<Scene>(text).is_ok()
+}
+
 impl RawLayout {
     /// Little-endian numbers from the file's beginning on, 1 mm apart.
     pub fn new(dims: [u32; 3], number: NumberType) -> Self {
@@ -120,6 +132,9 @@ impl RawLayout {
             return Ok(None);
         }
         let text = std::fs::read_to_string(&path).map_err(|e| VolumeError::io(&path, e))?;
+        if is_scene(&text) {
+            return Ok(None);
+        }
         serde_json::from_str(&text)
             .map(Some)
             .map_err(|error| VolumeError::Field {

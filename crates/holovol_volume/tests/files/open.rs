@@ -36,6 +36,22 @@ fn content_goes_before_name() {
 }
 
 #[test]
+fn a_scene_that_lies_where_a_sidecar_would_is_none() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("a.nrrd");
+    let header = ["type: uint8", "dimension: 1", "sizes: 2", "encoding: raw"];
+    fs::write(&path, nrrd(&header, &[3, 4])).expect("it can be written");
+    let beside = folder.path().join("a.nrrd.json");
+    let scene = r#"{"version": 1, "volume": {"path": "a.nrrd"}, "camera": {"eye": [0, 0, 1]}}"#;
+    fs::write(&beside, scene).expect("it can be written");
+    let volume = open(&path, &mut |_| {}).unwrap_or_else(|error| panic!("{error}"));
+    assert_eq!(values(&volume), [3.0, 4.0]);
+    // What is meant for a sidecar is not passed over.
+    fs::write(&beside, r#"{"dim": [2, 1, 1], "type": "u8"}"#).expect("it can be written");
+    assert!(message(&path).contains("a.nrrd.json"));
+}
+
+#[test]
 fn what_is_no_volume_is_told_so() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| folder.path().join(name);
