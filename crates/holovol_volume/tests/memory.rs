@@ -98,6 +98,144 @@ fn nifti(datatype: i16, side: i16, voxels: impl Iterator<Item = Vec<u8>>, out: &
     out.flush().expect("it can be written");
 }
 
+/// A stack of `side` pages with noise in the lower half of each number.
+fn tiff(compression: ::tiff::encoder::Compression, side: u32, out: impl Write + std::io::Seek) {
+    let mut encoder = ::tiff::encoder::TiffEncoder::new(out)
+        .expect("it can be written")
+        .with_compression(compression);
+    for page in 0..side {
+        let pixel = |i: u32| ((i ^ page) << 8 | i.wrapping_mul(2_654_435_761) >> 24) as u16;
+        let pixels: Vec<u16> = (0..side * side).map(pixel).collect();
+        encoder
+            .write_image::<::tiff::encoder::colortype::Gray16>(side, side, &pixels)
+            .expect("it can be written");
+    }
+}
+
+/// A file of `count` frames, each the one of a phantom that is compressed.
+fn frames(phantom: &str, count: usize) -> Vec<u8> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/phantoms/formats/codecs");
+    let bytes = fs::read(folder.join(phantom)).expect("the phantom");
+    let pixels = [
+        0xe0, 0x7f, 0x10, 0x00, b'O', b'B', 0, 0, 0xff, 0xff, 0xff, 0xff,
+    ];
+    let at = bytes
+        .windows(pixels.len())
+        .position(|window| window == pixels)
+        .expect("compressed pixels");
+    let (header, data) = bytes.split_at(at);
+    let mut items = data.get(pixels.len()..).expect("items");
+    let mut item = || {
+        let length = u32::from_le_bytes(*items[4..].first_chunk().expect("a length")) as usize;
+        let (item, rest) = items.split_at(8 + length);
+        items = rest;
+        item
+    };
+    item();
+    let fragment = item();
+    let number = format!("{count:<6}");
+    let end = [0xfe, 0xff, 0xdd, 0xe0, 0, 0, 0, 0];
+    [
+        header,
+        &[0x28, 0, 8, 0, b'I', b'S', 6, 0],
+        number.as_bytes(),
+        &pixels,
+        &[0xfe, 0xff, 0x00, 0xe0, 0, 0, 0, 0],
+        &fragment.repeat(count),
+        &end,
+    ]
+    .concat()
+}
+
+fn zipped(name: &str, content: &[u8], zeros: usize) -> Vec<u8> {
+    let mut writer = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    let options = zip::write::SimpleFileOptions::default()
+        .compression_method(zip::CompressionMethod::Deflated);
+    writer.start_file(name, options).expect("it can be written");
+    writer.write_all(content).expect("it can be written");
+    let chunk = vec![0; 1 << 20];
+    for _ in 0..zeros >> 20 {
+        writer.write_all(&chunk).expect("it can be written");
+    }
+    writer.finish().expect("it can be written").into_inner()
+}
+
+/// The beginning of a DICOM file with a private element that claims `length` bytes.
+fn long_element(length: u32) -> Vec<u8> {
+    let mut bytes = vec![0; 128];
+    bytes.extend(b"DICM\x02\x00\x10\x00UI\x14\x001.2.840.10008.1.2.1\0");
+    bytes.extend(b"\x09\x00\x10\x00OB\0\0");
+    bytes.extend(length.to_le_bytes());
+    bytes
+}
+
+#[test]
+fn small_files_take_little_memory() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let write = |name: &str, bytes: &[u8]| {
+        let path = folder.path().join(name);
+        fs::write(&path, bytes).expect("it can be written");
+        check(&path);
+    };
+    let size = 200 << 20;
+    // Zeros that unpack to 200 MB of header, ...
+    let header = long_element(size as u32 + 1000);
+    write("claims_header.zip", &zipped("a.dcm", &header, size));
+    // ... to a TIFF without pages, ...
+    let mut packed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    packed.write_all(b"II*\0\x08\0\0\0").expect("packed");
+    packed.write_all(&vec![0; size]).expect("packed");
+    write("claims_nothing.tif.gz", &packed.finish().expect("packed"));
+    // ... and 65,535 members in a hundred bytes.
+    let mut archive = zipped("a.dcm", b"nothing", 0);
+    let end = archive.len() - 22;
+    archive[end + 8..end + 12].fill(0xff);
+    write("claims_members.zip", &archive);
+    // A frame of 65,535 × 65,535 pixels in a few kilobytes, by every codec.
+    for codec in ["rle", "jpegls", "jpeg2000", "jpeg_lossless"] {
+        let mut bytes = frames(&format!("u12_{codec}.dcm"), 3);
+        for tag in [
+            [0x28, 0, 0x10, 0, b'U', b'S', 2, 0],
+            [0x28, 0, 0x11, 0, b'U', b'S', 2, 0],
+        ] {
+            let at = bytes
+                .windows(8)
+                .position(|window| window == tag)
+                .expect("rows and columns");
+            bytes[at + 8..at + 10].fill(0xff);
+        }
+        write(&format!("claims_{codec}.dcm"), &bytes);
+    }
+    // Thousands of frames in a few bytes each.
+    let tiny = frames("u12_rle.dcm", 2);
+    let at = tiny
+        .windows(2)
+        .rposition(|window| window == b"2 ")
+        .expect("the number of frames");
+    let mut tiny = tiny;
+    tiny[at..at + 6].copy_from_slice(b"900000");
+    write("claims_frames.dcm", &tiny);
+    // A deflated page that claims a gigabyte.
+    let mut page = std::io::Cursor::new(Vec::new());
+    tiff(
+        ::tiff::encoder::Compression::Deflate(::tiff::encoder::DeflateLevel::Fast),
+        16,
+        &mut page,
+    );
+    let mut page = page.into_inner();
+    let mut huge = 0;
+    for at in 0..page.len() - 12 {
+        if page[at..at + 2] == [0, 1] || page[at..at + 2] == [1, 1] {
+            if page[at + 2..at + 8] == [4, 0, 1, 0, 0, 0] {
+                page[at + 8..at + 12].copy_from_slice(&30_000u32.to_le_bytes());
+                huge += 1;
+            }
+        }
+    }
+    assert_eq!(huge, 32, "both sides of 16 pages");
+    write("claims_page.tif", &page);
+}
+
 #[test]
 fn reading_needs_little_more_than_the_voxels() {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -145,6 +283,23 @@ fn reading_needs_little_more_than_the_voxels() {
     let damaged = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/phantoms/damaged");
     fs::copy(damaged.join("huge_table.tif"), path("claims.tif")).expect("it can be copied");
     check(&path("claims.tif"));
+
+    // TIFF, and DICOM in frames, by every codec.
+    use ::tiff::encoder::{Compression, DeflateLevel};
+    for (name, compression) in [
+        ("plain.tif", Compression::Uncompressed),
+        ("lzw.tif", Compression::Lzw),
+        ("deflate.tif", Compression::Deflate(DeflateLevel::Fast)),
+    ] {
+        tiff(compression, 224, &mut create(name));
+        check(&path(name));
+    }
+    for codec in ["rle", "jpegls", "jpeg2000", "jpeg_lossless"] {
+        let name = format!("{codec}.dcm");
+        let bytes = frames(&format!("u12_{codec}.dcm"), 3000);
+        fs::write(path(&name), bytes).expect("it can be written");
+        check(&path(&name));
+    }
 
     let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/volumes");
     if shared.is_dir() {

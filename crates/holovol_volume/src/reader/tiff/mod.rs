@@ -87,6 +87,8 @@ struct Page {
     bits: u8,
     number: PageNumber,
     planar: bool,
+    /// Low values are to be bright: the crate turns numbers over, which is undone.
+    white_is_zero: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -379,7 +381,7 @@ impl<'a> Stack<'a> {
             }
         };
         let geometry = self.geometry();
-        let volume = Volume::new(voxels, dims, 1.0, 0.0, geometry)?
+        let mut volume = Volume::new(voxels, dims, 1.0, 0.0, geometry)?
             .with_rounded(rounded)
             .with_source_format(SourceFormat {
                 name: "TIFF",
@@ -388,6 +390,12 @@ impl<'a> Stack<'a> {
                     PageNumber::Half => "f16",
                 },
             });
+        let [low, high] = volume.range();
+        if self.page.white_is_zero && low < high {
+            volume = volume
+                .with_header_window([high, low])
+                .with_notice("WhiteIsZero: low values are to be bright, so the window is reversed");
+        }
         Ok(self.notices.into_iter().fold(volume, Volume::with_notice))
     }
 
@@ -460,6 +468,14 @@ fn page(decoder: &mut PageDecoder<'_>, path: &std::path::Path) -> Result<Page, V
             )));
         }
     };
+    let photometric: Option<u16> = decoder
+        .find_tag_unsigned(Tag::PhotometricInterpretation)
+        .map_err(error)?;
+    let white_is_zero = photometric == Some(0);
+    if white_is_zero && format == SampleFormat::IEEEFP.to_u16() {
+        // 1 − x can't be undone exactly.
+        return Err(unsupported("its fractions are marked WhiteIsZero".into()));
+    }
     if samples == 0 || width == 0 || height == 0 {
         return Err(unsupported("a page without pixels".into()));
     }
@@ -470,5 +486,6 @@ fn page(decoder: &mut PageDecoder<'_>, path: &std::path::Path) -> Result<Page, V
         bits,
         number,
         planar: planar == Some(2) && samples > 1,
+        white_is_zero,
     })
 }
