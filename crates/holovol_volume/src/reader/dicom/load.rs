@@ -177,7 +177,7 @@ impl<'a> Loading<'a> {
         // Files of several frames are opened once.
         let opened: Vec<OnceLock<FrameFile<'a>>> =
             self.study.images.iter().map(|_| OnceLock::new()).collect();
-        self.prove_claim::<T>(&opened)?;
+        self.prove_claim(size_of::<T>())?;
         let mut voxels = bytemuck::allocation::try_zeroed_slice_box::<T>(length)
             .map_err(|()| VolumeError::TooLarge {
                 path: self.path.into(),
@@ -220,29 +220,47 @@ impl<'a> Loading<'a> {
 
     /// Decodes one frame to see whether there are such frames, before memory for all is taken:
     /// where pixels would be packed very well.
-    fn prove_claim<T: Stored>(
-        &self,
-        opened: &[OnceLock<FrameFile<'a>>],
-    ) -> Result<(), VolumeError> {
-        let images = self
-            .stack
-            .iter()
-            .filter_map(|slice| self.study.images.get(slice.image));
-        let held: u64 = images
-            .map(|image| image.data_bytes)
-            .fold(0, u64::saturating_add);
-        let claimed = (self.frame_len * self.count * size_of::<T>()) as u64;
-        let is_native = |slice: &Slice| {
-            let image = self.study.images.get(slice.image);
-            image.is_none_or(|image| image.syntax.codec == Codec::Native)
+    fn prove_claim(&self, voxel_bytes: usize) -> Result<(), VolumeError> {
+        let image_of = |slice: &Slice| self.study.images.get(slice.image);
+        let (Some(first), Some(image)) =
+            (self.stack.first(), self.stack.first().and_then(image_of))
+        else {
+            return Ok(());
         };
-        match self.stack.first() {
-            Some(slice) if !is_native(slice) && claimed / PROVEN_RATIO > held => {
-                let mut frame = vec![T::zeroed(); self.frame_len];
-                self.frame(&mut frame, slice, opened).map(|_| ())
-            }
-            _ => Ok(()),
+        let images = self.stack.iter().filter_map(image_of);
+        let held = images.map(|image| image.data_bytes / image.frames.len().max(1) as u64);
+        let held = held.fold(0, u64::saturating_add);
+        let claimed = (self.frame_len * self.count * voxel_bytes) as u64;
+        if image.syntax.codec == Codec::Native || claimed / PROVEN_RATIO <= held {
+            return Ok(());
         }
+        let file = FrameFile::open(self.files, image)?;
+        self.unpacked(&file, image, first).map(|_| ())
+    }
+
+    /// The numbers of a compressed frame.
+    fn unpacked(
+        &self,
+        file: &FrameFile<'_>,
+        image: &Image,
+        slice: &Slice,
+    ) -> Result<Numbers, VolumeError> {
+        let path = || self.files.name(image.file);
+        let bytes = file
+            .compressed(slice.frame.index)
+            .map_err(|error| VolumeError::io(&path(), error))?;
+        codec::decode(image.syntax.codec, &bytes, &image.pixels).map_err(|problem| {
+            VolumeError::Field {
+                path: path(),
+                format: "DICOM",
+                field: "Pixel Data (7FE0,0010)".into(),
+                found: format!(
+                    "not to be decoded in frame {}: {problem}",
+                    slice.frame.index + 1
+                ),
+                expected: "a whole compressed image; get a good copy of the file".into(),
+            }
+        })
     }
 
     /// Decodes a frame into its place.
@@ -301,23 +319,7 @@ impl<'a> Loading<'a> {
                 self.convert_bytes(&conversion, &bytes, image.syntax.big_endian, chunk);
             }
         } else {
-            let bytes = file
-                .compressed(slice.frame.index)
-                .map_err(|error| VolumeError::io(&path(), error))?;
-            let numbers =
-                codec::decode(image.syntax.codec, &bytes, &image.pixels).map_err(|problem| {
-                    VolumeError::Field {
-                        path: path(),
-                        format: "DICOM",
-                        field: "Pixel Data (7FE0,0010)".into(),
-                        found: format!(
-                            "not to be decoded in frame {}: {problem}",
-                            slice.frame.index + 1
-                        ),
-                        expected: "a whole compressed image; get a good copy of the file".into(),
-                    }
-                })?;
-            match numbers {
+            match self.unpacked(file, image, slice)? {
                 Numbers::Bytes(bytes) => self.convert_bytes(&conversion, &bytes, false, chunk),
                 Numbers::Words(words) => {
                     for (to, word) in chunk.iter_mut().zip(words) {
