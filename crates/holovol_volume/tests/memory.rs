@@ -58,7 +58,7 @@ fn child() {
 }
 
 /// The allocator keeps what is freed, so that every file needs a fresh process.
-fn check(path: &Path) {
+fn try_check(path: &Path) -> Result<(), String> {
     let child = std::env::current_exe().expect("this binary");
     let output = std::process::Command::new(child)
         .args(["--exact", "child", "--nocapture"])
@@ -74,11 +74,18 @@ fn check(path: &Path) {
             .find(|line| line.contains('×'))
             .unwrap_or(&text)
     );
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    if output.status.success() {
+        Ok(())
+    } else {
+        Err(String::from_utf8_lossy(&output.stderr).into_owned())
+    }
+}
+
+/// See [`try_check`].
+fn check(path: &Path) {
+    if let Err(error) = try_check(path) {
+        panic!("{}: {error}", path.display());
+    }
 }
 
 fn nifti(datatype: i16, side: i16, voxels: impl Iterator<Item = Vec<u8>>, out: &mut dyn Write) {
@@ -96,6 +103,145 @@ fn nifti(datatype: i16, side: i16, voxels: impl Iterator<Item = Vec<u8>>, out: &
         out.write_all(&voxel).expect("it can be written");
     }
     out.flush().expect("it can be written");
+}
+
+/// A stack of `side` pages with noise in the lower half of each number.
+fn tiff(compression: ::tiff::encoder::Compression, side: u32, out: impl Write + std::io::Seek) {
+    let mut encoder = ::tiff::encoder::TiffEncoder::new(out)
+        .expect("it can be written")
+        .with_compression(compression);
+    for page in 0..side {
+        let pixel = |i: u32| ((i ^ page) << 8 | i.wrapping_mul(2_654_435_761) >> 24) as u16;
+        let pixels: Vec<u16> = (0..side * side).map(pixel).collect();
+        encoder
+            .write_image::<::tiff::encoder::colortype::Gray16>(side, side, &pixels)
+            .expect("it can be written");
+    }
+}
+
+/// A file of `count` frames, each the one of a phantom that is compressed.
+fn frames(phantom: &str, count: usize) -> Vec<u8> {
+    frames_of(phantom, count, None)
+}
+
+/// The same, with something else for the compressed frame.
+fn frames_of(phantom: &str, count: usize, other: Option<&[u8]>) -> Vec<u8> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/phantoms/formats/codecs");
+    let bytes = fs::read(folder.join(phantom)).expect("the phantom");
+    let pixels = [
+        0xe0, 0x7f, 0x10, 0x00, b'O', b'B', 0, 0, 0xff, 0xff, 0xff, 0xff,
+    ];
+    let at = bytes
+        .windows(pixels.len())
+        .position(|window| window == pixels)
+        .expect("compressed pixels");
+    let (header, data) = bytes.split_at(at);
+    let mut items = data.get(pixels.len()..).expect("items");
+    let mut item = || {
+        let length = u32::from_le_bytes(*items[4..].first_chunk().expect("a length")) as usize;
+        let (item, rest) = items.split_at(8 + length);
+        items = rest;
+        item
+    };
+    item();
+    let fragment = item();
+    let number = format!("{count:<6}");
+    let end = [0xfe, 0xff, 0xdd, 0xe0, 0, 0, 0, 0];
+    [
+        header,
+        &[0x28, 0, 8, 0, b'I', b'S', 6, 0],
+        number.as_bytes(),
+        &pixels,
+        &[0xfe, 0xff, 0x00, 0xe0, 0, 0, 0, 0],
+        &other.unwrap_or(fragment).repeat(count),
+        &end,
+    ]
+    .concat()
+}
+
+fn zipped(name: &str, content: &[u8], zeros: usize) -> Vec<u8> {
+    let mut writer = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    let options = zip::write::SimpleFileOptions::default()
+        .compression_method(zip::CompressionMethod::Deflated);
+    writer.start_file(name, options).expect("it can be written");
+    writer.write_all(content).expect("it can be written");
+    let chunk = vec![0; 1 << 20];
+    for _ in 0..zeros >> 20 {
+        writer.write_all(&chunk).expect("it can be written");
+    }
+    writer.finish().expect("it can be written").into_inner()
+}
+
+/// The beginning of a DICOM file with a private element that claims `length` bytes.
+fn long_element(length: u32) -> Vec<u8> {
+    let mut bytes = vec![0; 128];
+    bytes.extend(b"DICM\x02\x00\x10\x00UI\x14\x001.2.840.10008.1.2.1\0");
+    bytes.extend(b"\x09\x00\x10\x00OB\0\0");
+    bytes.extend(length.to_le_bytes());
+    bytes
+}
+
+#[test]
+fn small_files_take_little_memory() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut failures = Vec::new();
+    let mut write = |name: &str, bytes: &[u8]| {
+        let path = folder.path().join(name);
+        fs::write(&path, bytes).expect("it can be written");
+        failures.extend(try_check(&path).err());
+    };
+    let size = 200 << 20;
+    // Zeros that unpack to 200 MB of header, ...
+    let header = long_element(size as u32 + 1000);
+    write("claims_header.zip", &zipped("a.dcm", &header, size));
+    // ... to a TIFF without pages, ...
+    let mut packed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    packed.write_all(b"II*\0\x08\0\0\0").expect("packed");
+    packed.write_all(&vec![0; size]).expect("packed");
+    write("claims_nothing.tif.gz", &packed.finish().expect("packed"));
+    // ... and 65,535 members in a hundred bytes.
+    let mut archive = zipped("a.dcm", b"nothing", 0);
+    let end = archive.len() - 22;
+    archive[end + 8..end + 12].fill(0xff);
+    write("claims_members.zip", &archive);
+    // Frames of 8,000 × 8,000 pixels in a few kilobytes, by every codec.
+    for codec in ["rle", "jpegls", "jpeg2000", "jpeg_lossless"] {
+        let mut bytes = frames(&format!("u12_{codec}.dcm"), 3);
+        for tag in [
+            [0x28, 0, 0x10, 0, b'U', b'S', 2, 0],
+            [0x28, 0, 0x11, 0, b'U', b'S', 2, 0],
+        ] {
+            let at = bytes
+                .windows(8)
+                .position(|window| window == tag)
+                .expect("rows and columns");
+            bytes[at + 8..at + 10].copy_from_slice(&8000u16.to_le_bytes());
+        }
+        write(&format!("claims_{codec}.dcm"), &bytes);
+    }
+    // Frames of nothing.
+    let tiny = frames_of("u12_rle.dcm", 100_000, Some(b"\xfe\xff\x00\xe0\0\0\0\0"));
+    write("claims_frames.dcm", &tiny);
+    // A deflated page that claims a gigabyte.
+    let mut page = std::io::Cursor::new(Vec::new());
+    tiff(
+        ::tiff::encoder::Compression::Deflate(::tiff::encoder::DeflateLevel::Fast),
+        16,
+        &mut page,
+    );
+    let mut page = page.into_inner();
+    let mut huge = 0;
+    for at in 0..page.len() - 12 {
+        // ImageWidth, ImageLength, RowsPerStrip: single numbers of 32 bits.
+        let is_size = [[0, 1], [1, 1], [0x16, 1]].contains(&[page[at], page[at + 1]]);
+        if is_size && page[at + 2..at + 8] == [4, 0, 1, 0, 0, 0] {
+            page[at + 8..at + 12].copy_from_slice(&6000u32.to_le_bytes());
+            huge += 1;
+        }
+    }
+    assert_eq!(huge, 48, "in 16 pages");
+    write("claims_page.tif", &page);
+    assert!(failures.is_empty(), "{failures:#?}");
 }
 
 #[test]
@@ -145,6 +291,23 @@ fn reading_needs_little_more_than_the_voxels() {
     let damaged = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/phantoms/damaged");
     fs::copy(damaged.join("huge_table.tif"), path("claims.tif")).expect("it can be copied");
     check(&path("claims.tif"));
+
+    // TIFF, and DICOM in frames, by every codec.
+    use ::tiff::encoder::{Compression, DeflateLevel};
+    for (name, compression) in [
+        ("plain.tif", Compression::Uncompressed),
+        ("lzw.tif", Compression::Lzw),
+        ("deflate.tif", Compression::Deflate(DeflateLevel::Fast)),
+    ] {
+        tiff(compression, 224, &mut create(name));
+        check(&path(name));
+    }
+    for codec in ["rle", "jpegls", "jpeg2000", "jpeg_lossless"] {
+        let name = format!("{codec}.dcm");
+        let bytes = frames(&format!("u12_{codec}.dcm"), 3000);
+        fs::write(path(&name), bytes).expect("it can be written");
+        check(&path(&name));
+    }
 
     let shared = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/volumes");
     if shared.is_dir() {

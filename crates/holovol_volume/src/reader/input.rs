@@ -1,5 +1,5 @@
 use std::fs::{File, Metadata};
-use std::io::{self, BufRead, BufReader, Cursor, Read, Seek};
+use std::io::{self, BufRead, BufReader, Cursor, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::SystemTime;
@@ -12,6 +12,15 @@ use crate::VolumeError;
 
 /// Deflate can't expand a byte to more than this many (258 bytes for 2 bits).
 pub(super) const DEFLATE_RATIO_MAX: u64 = 1032;
+
+/// What is unpacked for reading from any place stays in memory up to here.
+const UNPACKED_IN_MEMORY: u64 = 2 << 20;
+
+/// Unpacked files beyond this are refused.
+const UNPACKED_MAX: u64 = 4 << 30;
+
+/// Memory for what arrives begins with this.
+const FIRST_ROOM: usize = 64 << 10;
 
 /// Large enough for sequential reads from a disk, small beside any volume.
 const BUFFER_BYTES: usize = 256 << 10;
@@ -118,26 +127,45 @@ impl<'a> Input<'a> {
         }
     }
 
-    /// The whole content, to be read from any place; what is packed or piped is unpacked first,
-    /// into no more than `max_bytes`.
-    pub(super) fn into_source(mut self, max_bytes: u64) -> Result<Source<'a>, VolumeError> {
+    /// The whole content, to be read from any place. What is packed or piped is unpacked first:
+    /// into memory if it is small, else into a file without a name in the system's folder for
+    /// such, so that a small file can't fill the memory.
+    pub(super) fn into_source(mut self) -> Result<Source<'a>, VolumeError> {
         if let Some(source) = self.source.take() {
             return Ok(source);
         }
-        let mut bytes = Vec::new();
-        self.stream
-            .by_ref()
-            .take(max_bytes.saturating_add(1))
-            .read_to_end(&mut bytes)
-            .map_err(|source| VolumeError::decoding(&self.path, source))?;
-        if bytes.len() as u64 > max_bytes {
-            return Err(VolumeError::TooLarge {
-                path: self.path,
-                bytes: bytes.len() as u64,
-                limit: format!("the {max_bytes} that may be unpacked"),
-            });
+        let error = |path: &Path, source| VolumeError::decoding(path, source);
+        let bytes = read_at_most(&mut self.stream, UNPACKED_IN_MEMORY)
+            .map_err(|source| error(&self.path, source))?;
+        if (bytes.len() as u64) < UNPACKED_IN_MEMORY {
+            return Ok(Source::Owned(Arc::new(bytes)));
         }
-        Ok(Source::Owned(Arc::new(bytes)))
+        let path = std::env::temp_dir();
+        let mut file = tempfile::tempfile().map_err(|source| VolumeError::io(&path, source))?;
+        file.write_all(&bytes)
+            .map_err(|source| VolumeError::io(&path, source))?;
+        drop(bytes);
+        let mut chunk = vec![0; BUFFER_BYTES];
+        let mut length = UNPACKED_IN_MEMORY;
+        loop {
+            let count = self.stream.read(&mut chunk);
+            let count = match count {
+                Ok(0) => break,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                other => other.map_err(|source| error(&self.path, source))?,
+            };
+            length += count as u64;
+            if length > UNPACKED_MAX {
+                return Err(VolumeError::TooLarge {
+                    path: self.path,
+                    bytes: length,
+                    limit: format!("the {UNPACKED_MAX} that may be unpacked"),
+                });
+            }
+            file.write_all(chunk.get(..count).unwrap_or_default())
+                .map_err(|source| VolumeError::io(&path, source))?;
+        }
+        Ok(Source::File(Arc::new(file), length))
     }
 
     /// The content from the current place on for random access, where that needs no copy.
@@ -361,6 +389,26 @@ impl BufRead for Input<'_> {
     fn consume(&mut self, bytes: usize) {
         self.stream.consume(bytes);
         self.count(bytes);
+    }
+}
+
+/// Reads to the end, but no more than `at_most` bytes, into memory that doubles with what arrives
+/// and never exceeds `at_most`.
+pub(super) fn read_at_most(mut reader: impl Read, at_most: u64) -> io::Result<Vec<u8>> {
+    let at_most = usize::try_from(at_most).unwrap_or(usize::MAX);
+    let mut bytes: Vec<u8> = Vec::new();
+    loop {
+        let room = bytes.len().max(FIRST_ROOM).min(at_most - bytes.len());
+        if room == 0 {
+            return Ok(bytes);
+        }
+        bytes
+            .try_reserve_exact(room)
+            .map_err(|_| io::ErrorKind::OutOfMemory)?;
+        let read = reader.by_ref().take(room as u64).read_to_end(&mut bytes)?;
+        if read < room {
+            return Ok(bytes);
+        }
     }
 }
 

@@ -58,8 +58,15 @@ pub(super) fn checked_spacing(
             }
             length.abs() * metres_per_unit
         } else {
+            let found = if length.is_nan() {
+                "not known".into()
+            } else {
+                length.to_string()
+            };
+            // As many digits as anybody measures.
+            let taken: f64 = format!("{fallback:.6e}").parse().unwrap_or(fallback);
             notices.push(format!(
-                "{field} along axis {axis} is {length}: taken as {fallback}"
+                "{field} along axis {axis} is {found}: taken as {taken}"
             ));
             fallback * metres_per_unit
         }

@@ -9,20 +9,22 @@ use zip::CompressionMethod;
 use zip::read::ZipArchive;
 
 use super::dicom::{self, Files, OpenFile};
-use super::input::DEFLATE_RATIO_MAX;
+use super::input::{DEFLATE_RATIO_MAX, read_at_most};
 use super::options::Content;
 use super::source::{Source, SourceCursor};
 use super::{Input, Progress, ReadOptions, VolumeReader, readers};
 use crate::{Volume, VolumeError};
 
-/// A packed archive that is itself packed may not be larger than this.
-const PACKED_MAX: u64 = 4 << 30;
-
 /// Members beyond this are no slices.
 const MEMBER_BYTES_MAX: u64 = 16 << 30;
 
-/// More members than this are no study.
-const MEMBERS_MAX: usize = 2_000_000;
+/// There may be a member per so many bytes of an archive, beside [`MEMBERS_MIN`]: the list of them
+/// takes some hundred bytes of memory each.
+const BYTES_PER_MEMBER: u64 = 256;
+const MEMBERS_MIN: u64 = 1024;
+
+/// Where the record that ends an archive can be: it has 22 bytes, and a comment of up to 64 KiB.
+const END_BYTES_MAX: u64 = (64 << 10) + 22;
 
 /// Reads ZIP archives.
 #[derive(Clone, Copy, Debug)]
@@ -78,32 +80,69 @@ struct ZipFiles<'a> {
     path: PathBuf,
     source: Source<'a>,
     archive: ZipArchive<SourceCursor<'a>>,
-    /// Name and unpacked bytes of each member that is a file.
-    members: Vec<(usize, String, u64)>,
+    members: Vec<Member>,
+}
+
+/// A member that is a file.
+struct Member {
+    index: usize,
+    name: String,
+    /// Bytes, as the archive claims.
+    size: u64,
+    packed: u64,
 }
 
 impl<'a> ZipFiles<'a> {
     fn open(input: Input<'a>) -> Result<Self, VolumeError> {
         let path = input.path().to_path_buf();
-        let source = input.into_source(PACKED_MAX)?;
+        let source = input.into_source()?;
         let damaged = |error: zip::result::ZipError| VolumeError::Damaged {
             path: path.clone(),
             source: io::Error::other(error),
         };
-        let mut archive = ZipArchive::new(source.cursor(0)).map_err(damaged)?;
-        if archive.len() > MEMBERS_MAX {
-            return Err(VolumeError::Unsupported {
-                path,
-                what: format!("this archive has more than {MEMBERS_MAX} members"),
+        let members_max = source.length() / BYTES_PER_MEMBER + MEMBERS_MIN;
+        let check = |count: u64| {
+            if count <= members_max {
+                return Ok(());
+            }
+            Err(VolumeError::Unsupported {
+                path: path.clone(),
+                what: format!(
+                    "this archive claims {count} members in {} bytes",
+                    source.length()
+                ),
                 way_out: "unpack it and name the folder of one series".into(),
-            });
+            })
+        };
+        // Before the list of members is read: the record at the end claims their number.
+        let tail = source
+            .read_vec(source.length().saturating_sub(END_BYTES_MAX), END_BYTES_MAX)
+            .map_err(|error| VolumeError::io(&path, error))?;
+        for end in tail
+            .windows(12)
+            .filter(|end| end.starts_with(b"PK\x05\x06"))
+        {
+            if let [.., here_0, here_1, all_0, all_1] = *end {
+                let here = u16::from_le_bytes([here_0, here_1]);
+                check(here.max(u16::from_le_bytes([all_0, all_1])).into())?;
+            }
         }
+        let mut archive = ZipArchive::new(source.cursor(0)).map_err(damaged)?;
+        check(archive.len() as u64)?;
         let mut members = Vec::new();
         for index in 0..archive.len() {
             let member = archive.by_index_raw(index).map_err(damaged)?;
             if member.is_file() {
                 let name = member.name().map_err(damaged)?.into_owned();
-                members.push((index, name, member.size()));
+                members.push(Member {
+                    index,
+                    name,
+                    // Deflate can't pack more into a byte.
+                    size: member
+                        .size()
+                        .min(member.compressed_size().saturating_mul(DEFLATE_RATIO_MAX)),
+                    packed: member.compressed_size(),
+                });
             }
         }
         Ok(Self {
@@ -127,7 +166,7 @@ impl<'a> ZipFiles<'a> {
             .members
             .iter()
             .enumerate()
-            .filter(|(_, (_, name, _))| is_volume(name));
+            .filter(|(_, member)| is_volume(&member.name));
         let (first, _) = volumes.next()?;
         volumes.next().is_none().then_some(first)
     }
@@ -136,20 +175,17 @@ impl<'a> ZipFiles<'a> {
     fn unpacked(&self, index: usize, at_most: u64) -> Result<Vec<u8>, VolumeError> {
         let name = self.name(index);
         let missing = || VolumeError::io(&name, io::ErrorKind::NotFound.into());
-        let &(member, _, size) = self.members.get(index).ok_or_else(missing)?;
+        let member = self.members.get(index).ok_or_else(missing)?;
         // The archive's list of members is shared by its clones.
         let mut archive = self.archive.clone();
         let mut file = archive
-            .by_index(member)
+            .by_index(member.index)
             .map_err(|error| VolumeError::Damaged {
                 path: name.clone(),
                 source: io::Error::other(error),
             })?;
-        let mut bytes = Vec::new();
-        let wanted = at_most.min(size).min(MEMBER_BYTES_MAX);
-        file.by_ref()
-            .take(wanted)
-            .read_to_end(&mut bytes)
+        let wanted = at_most.min(member.size).min(MEMBER_BYTES_MAX);
+        let bytes = read_at_most(file.by_ref(), wanted)
             .map_err(|source| VolumeError::decoding(&name, source))?;
         if (bytes.len() as u64) < wanted {
             return Err(VolumeError::Truncated {
@@ -165,13 +201,14 @@ impl<'a> ZipFiles<'a> {
     fn member(&self, index: usize) -> Result<Input<'a>, VolumeError> {
         let name = self.name(index);
         let missing = || VolumeError::io(&name, io::ErrorKind::NotFound.into());
-        let &(member, _, size) = self.members.get(index).ok_or_else(missing)?;
+        let member = self.members.get(index).ok_or_else(missing)?;
+        let size = member.size;
         let mut archive = self.archive.clone();
         let damaged = |error: zip::result::ZipError| VolumeError::Damaged {
             path: name.clone(),
             source: io::Error::other(error),
         };
-        let file = archive.by_index(member).map_err(damaged)?;
+        let file = archive.by_index(member.index).map_err(damaged)?;
         let start = file.data_start().ok_or_else(missing)?;
         let packed = file.compressed_size();
         let method = file.compression();
@@ -192,15 +229,19 @@ impl Files for ZipFiles<'_> {
     }
 
     fn name(&self, index: usize) -> PathBuf {
-        let name = self.members.get(index).map(|(_, name, _)| name.as_str());
+        let name = self.members.get(index).map(|member| member.name.as_str());
         Path::new(&self.path).join(name.unwrap_or_default())
     }
 
     fn open(&self, index: usize, at_most: u64) -> Result<OpenFile<'_>, VolumeError> {
         let bytes = self.unpacked(index, at_most)?;
         Ok(OpenFile {
-            length: self.members.get(index).map_or(0, |(_, _, size)| *size),
+            length: self.members.get(index).map_or(0, |member| member.size),
             source: Source::Owned(Arc::new(bytes)),
         })
+    }
+
+    fn stored_bytes(&self, index: usize) -> u64 {
+        self.members.get(index).map_or(0, |member| member.packed)
     }
 }

@@ -7,12 +7,16 @@ and imagecodecs (DICOM), tifffile (TIFF), OpenVDB's own Python module (OpenVDB).
 pip install numpy SimpleITK pydicom pylibjpeg pylibjpeg-libjpeg imagecodecs tifffile
 python formats.py
 python formats.py --vdb     (with an interpreter that has pyopenvdb, such as Debian's)
+
+OpenVDB's module writes no ZIP: that file is put together by hand here, and read back by OpenVDB.
 """
 
 import json
 import pathlib
 import shutil
+import struct
 import sys
+import zlib
 
 import numpy as np
 
@@ -24,6 +28,8 @@ facts_path = here / "formats.json"
 DIMS = (5, 4, 3)
 MARKS = {101: (0, 0, 0), 102: (4, 0, 0), 103: (0, 3, 0)}
 ORIGIN = np.array([-388.5, 81.25, 405.0])
+# The same for lossy compression.
+FAR_APART = {101: 60, 102: 120, 103: 180}
 RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0])
 
 
@@ -48,11 +54,13 @@ def field(dtype="int16"):
     return values
 
 
-def marks(steps_lps_mm, oriented=True, scale=1e-3):
+def marks(steps_lps_mm, oriented=True, scale=1e-3, mirrored=False):
     """Places of the marks in the world, from the columns of a step along i, j, k."""
     centre = (np.array(DIMS) - 1) / 2
     places = []
     for mark, index in MARKS.items():
+        if mirrored:
+            index = (*index[:2], DIMS[2] - 1 - index[2])
         place = np.asarray(steps_lps_mm) @ (np.array(index) - centre) * scale
         if oriented:
             right, anterior, superior = RAS_FROM_LPS @ place
@@ -87,6 +95,37 @@ def simple_itk():
     again = sitk.ReadImage(str(folder / "big.mhd"))
     assert (sitk.GetArrayFromImage(again).transpose(2, 1, 0) == field()).all()
     facts["big.mhd"] = facts["itk.mhd"]
+    # A file per slice, by a list, a pattern, and one that counts down.
+    for k in range(DIMS[2]):
+        (folder / f"slice{k + 8:02d}.raw").write_bytes(field()[:, :, k].tobytes(order="F"))
+    text = (folder / "itk.mhd").read_text()
+    names = "\n".join(f"slice{k + 8:02d}.raw" for k in range(DIMS[2]))
+    (folder / "list.mhd").write_text(text.replace("itk.raw", "LIST\n" + names))
+    (folder / "numbered.mhd").write_text(text.replace("itk.raw", "slice%02d.raw 8 10 1"))
+    for name in ("list.mhd", "numbered.mhd"):
+        facts[name] = facts["itk.mhd"]
+    again = sitk.ReadImage(str(folder / "numbered.mhd"))
+    assert (sitk.GetArrayFromImage(again).transpose(2, 1, 0) == field()).all()
+    vectors = " ".join("(" + ",".join(f"{n:.12g}" for n in step) + ")" for step in STEPS.T)
+    lines = [
+        "NRRD0005",
+        "type: int16",
+        "dimension: 3",
+        "sizes: 5 4 3",
+        "space: left-posterior-superior",
+        f"space directions: {vectors}",
+        "endian: little",
+        "encoding: raw",
+    ]
+    for name, data in (
+        ("list.nhdr", "LIST\n" + names),
+        ("numbered.nhdr", "slice%02d.raw 8 10 1"),
+    ):
+        (folder / name).write_text("\n".join([*lines, f"data file: {data}", ""]))
+        facts[name] = {"marks": marks(STEPS)}
+    (folder / "down.nhdr").write_text("\n".join([*lines, "data file: slice%02d.raw 10 8 -1", ""]))
+    # Slices the other way round are the phantom with its third axis mirrored.
+    facts["down.nhdr"] = {"marks": marks(STEPS, mirrored=True)}
 
 
 def dataset(number, syntax):
@@ -147,10 +186,31 @@ def save(d, path):
     )
 
 
-def slices(name, syntax, steps, order=(2, 0, 1), dtype="<i2"):
+def compressions():
+    """Name, transfer syntax and encoder of one frame for each codec."""
+    import imagecodecs
+
+    def baseline(pixels):
+        return imagecodecs.jpeg8_encode(pixels.astype("u1"), level=100)
+
+    return [
+        ("jpeg", "1.2.840.10008.1.2.4.50", baseline),
+        ("jpeg_lossless", "1.2.840.10008.1.2.4.70", lambda p: imagecodecs.ljpeg_encode(p, bitspersample=16)),
+        ("jpegls", "1.2.840.10008.1.2.4.80", lambda p: imagecodecs.jpegls_encode(p, level=0)),
+        (
+            "jpeg2000",
+            "1.2.840.10008.1.2.4.90",
+            lambda p: imagecodecs.jpeg2k_encode(p, level=0, reversible=True, codecformat="J2K"),
+        ),
+        ("rle", "1.2.840.10008.1.2.5", None),
+    ]
+
+
+def slices(name, syntax, steps, order=(2, 0, 1), dtype="<i2", pack=False):
     """A folder of slices whose names are not in their order."""
     target = folder / name
     shutil.rmtree(target, ignore_errors=True)
+    is_lossy = syntax.endswith("4.50")
     for place, k in enumerate(order):
         d = dataset(k + 1, syntax)
         unit = steps / np.linalg.norm(steps, axis=0)
@@ -159,10 +219,37 @@ def slices(name, syntax, steps, order=(2, 0, 1), dtype="<i2"):
         d.ImagePositionPatient = text(ORIGIN + steps[:, 2] * k)
         d.PixelSpacing = text([SPACING[1], SPACING[0]])
         d.SliceThickness = "9"
-        image_of(d, field()[:, :, k].T.astype(dtype))
+        values = field()
+        if is_lossy:
+            values = np.select([values == mark for mark in FAR_APART], FAR_APART.values(), values)
+        image_of(d, np.ascontiguousarray(values[:, :, k].T.astype(dtype)))
+        if pack is not False:
+            compress(d, syntax, pack)
         save(d, target / f"{place}.dcm")
     (target / "readme.txt").write_text("no image\n")
     facts[name] = {"marks": marks(steps)}
+    if is_lossy:
+        for mark in facts[name]["marks"]:
+            mark[0] = FAR_APART[mark[0]]
+        facts[name]["tolerance"] = 2
+
+
+def compress(d, syntax, pack):
+    """Packs the pixels, which are unsigned, of 8 bits for JPEG baseline."""
+    from pydicom.encaps import encapsulate
+    from pydicom.uid import ExplicitVRLittleEndian
+
+    pixels = np.frombuffer(d.PixelData, "<u2").reshape(d.Rows, d.Columns)
+    d.PixelRepresentation = 0
+    if pack is None:
+        d.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+        d.compress(syntax, generate_instance_uid=False)
+        return
+    if syntax.endswith("4.50"):
+        d.BitsAllocated, d.BitsStored, d.HighBit = 8, 8, 7
+    d.PixelData = encapsulate([bytes(pack(pixels))])
+    d["PixelData"].VR = "OB"
+    d["PixelData"].is_undefined_length = True
 
 
 def dicom():
@@ -183,6 +270,8 @@ def dicom():
     tilted = STEPS.copy()
     tilted[:, 2] += STEPS[:, 1] * 0.4
     slices("dicom_tilted", ExplicitVRLittleEndian, tilted)
+    for name, syntax, pack in compressions():
+        slices(f"dicom_{name}", syntax, STEPS, pack=pack)
     for archive in ("dicom_zip",):
         shutil.make_archive(str(folder / archive), "zip", folder / "dicom_explicit")
         facts[archive + ".zip"] = {"marks": marks(STEPS)}
@@ -334,6 +423,10 @@ def tiff():
         ome=True,
         metadata={**ome, "axes": "ZCYX", "Channel": {"Name": ["empty", "marked"]}},
     )
+    # Low values are to be bright, but are the same numbers: to tifffile as to ITK.
+    tifffile.imwrite(folder / "white.tif", pages, photometric="miniswhite")
+    assert (tifffile.imread(folder / "white.tif") == pages).all()
+    facts["white.tif"] = {"marks": marks(np.eye(3), oriented=False)}
     facts["channels.ome.tif"] = {**diagonal, "choice": "marked"}
 
 
@@ -369,6 +462,49 @@ def vdb():
     for name in ("float.vdb", "half.vdb", "several.vdb"):
         facts[name] = {"marks": marks(STEPS, oriented=False, scale=1)}
     facts["several.vdb"]["choice"] = "marked"
+
+    # ZIP and active-mask compression, one leaf.
+    def string(text):
+        return struct.pack("<I", len(text)) + text.encode()
+
+    def packed(numbers):
+        plain = np.asarray(numbers, "<f4").tobytes()
+        small = zlib.compress(plain)
+        # What doesn't shrink is stored as it is, with a negative length.
+        return struct.pack("<q", len(small)) + small if len(small) < len(plain) else struct.pack("<q", -len(plain)) + plain
+
+    def node(side, origin, size, first):
+        """Masks of a node with one child, no tiles: which child holds the voxel `first`."""
+        x, y, z = ((f - o) // size for f, o in zip(first, origin))
+        child = np.zeros(side**3, bool)
+        child[(x * side + y) * side + z] = True
+        none = bytes(side**3 // 8)
+        # No inactive values to tell; an empty block.
+        return np.packbits(child, bitorder="little").tobytes() + none + b"\0" + packed([])
+
+    first = (-7, 20, 1000)
+    leaf = (-8, 16, 1000)
+    active = np.zeros((8, 8, 8), bool)
+    inside = tuple(slice(f - l, f - l + n) for f, l, n in zip(first, leaf, DIMS))
+    active[inside] = True
+    mask = np.packbits(active.ravel(), bitorder="little").tobytes()
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[3, :3] = STEPS.T, ORIGIN
+    grid_bytes = struct.pack("<II", 1 | 2, 0) + string("AffineMap") + matrix.astype("<f8").tobytes()
+    grid_bytes += struct.pack("<IfII", 1, -1.0, 0, 1) + struct.pack("<3i", -4096, 0, 0)
+    grid_bytes += node(32, (-4096, 0, 0), 128, first) + node(16, (-128, 0, 896), 8, first) + mask
+    blocks = mask + b"\0" + packed(field("float32")[:].ravel())
+    head = b" BDV\0\0\0\0" + struct.pack("<IIIB", 224, 10, 0, 1) + b"b2a8f8a6-6c0e-4c34-9d6a-5d5e0c1f7a10" + struct.pack("<II", 0, 1)
+    head += string("marked") + string("Tree_float_5_4_3") + string("")
+    start = len(head) + 24
+    head += struct.pack("<3q", start, start + len(grid_bytes), start + len(grid_bytes) + len(blocks))
+    (folder / "zip.vdb").write_bytes(head + grid_bytes + blocks)
+    again = pyopenvdb.read(str(folder / "zip.vdb"), "marked")
+    read = np.zeros(DIMS, np.float32)
+    again.copyToArray(read, ijk=first)
+    assert (read == values).all() and again.background == -1.0
+    assert again.evalActiveVoxelBoundingBox()[0] == first
+    facts["zip.vdb"] = facts["float.vdb"]
 
 
 if "--vdb" in sys.argv:

@@ -1,11 +1,13 @@
 """Writes real_files.json: what other readers say of the volumes in ../shared/data/volumes.
 
 nibabel (NIfTI), pynrrd (NRRD), pydicom (DICOM), NumPy (MetaImage's raw file); each compared here
-with what SimpleITK says. OpenVDB's own module reads the cloud.
+with what SimpleITK says. The cloud is read by OpenVDB's own module and, with code of its own, by
+the crate vdb-rs (vdb_rs/): every voxel, tiles filled, and the voxels' size must be the same.
 
 pip install nibabel pynrrd numpy pydicom SimpleITK
 python real_files.py path/to/data/volumes
-python real_files.py path/to/data/volumes --vdb     (with an interpreter that has pyopenvdb)
+(cd vdb_rs && cargo run --release -- path/to/cloud.vdb density) >cloud.f32
+python real_files.py path/to/data/volumes --vdb cloud.f32     (an interpreter that has pyopenvdb)
 """
 
 import json
@@ -47,6 +49,19 @@ def read_dicom(path):
     return stored, np.stack(scaled).transpose(2, 1, 0), RAS_FROM_LPS @ affine
 
 
+def check_vdb_rs(path, low, values, voxel_size):
+    """Whether vdb-rs sees the same active tiles and voxels, and nothing else."""
+    numbers = np.fromfile(path, np.float32)
+    assert (numbers[:3] == np.float32(voxel_size)).all(), numbers[:3]
+    filled = np.zeros_like(values)
+    for x, y, z, side, value in numbers[3:].reshape(-1, 5):
+        x, y, z = (int(n) for n in np.array([x, y, z]) - low)
+        side = int(side)
+        assert min(x, y, z) >= 0 and (np.array([x, y, z]) + side <= values.shape).all()
+        filled[x : x + side, y : y + side, z : z + side] = value
+    assert (filled == values).all()
+
+
 def read_itk(path):
     """Values and affine in RAS, from SimpleITK alone."""
     if path.is_dir():
@@ -71,6 +86,7 @@ for name in sorted(p.name for p in folder.iterdir()):
         low, high = (np.array(corner) for corner in grid.evalActiveVoxelBoundingBox())
         stored = values = np.zeros(high - low + 1, np.float32)
         grid.copyToArray(stored, ijk=tuple(map(int, low)))
+        check_vdb_rs(sys.argv[3], low, values, grid.transform.voxelSize())
         spacing = np.array(grid.transform.voxelSize()) * 1e3
         affine, codes = np.diag([*spacing, 1.0]), None
         affine[:3, 3] = spacing * low

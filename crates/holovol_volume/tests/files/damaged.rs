@@ -153,6 +153,7 @@ fn phantoms() -> Vec<(String, Vec<u8>)> {
         "itk.mha",
         "float.vdb",
         "half.vdb",
+        "zip.vdb",
         "ome.ome.tif",
         "ome_tiled.ome.tif",
         "imagej.tif",
@@ -160,6 +161,7 @@ fn phantoms() -> Vec<(String, Vec<u8>)> {
         "dicom_zip.zip",
         "dicom_big/0.dcm",
         "dicom_deflated/0.dcm",
+        "dicom_jpeg/0.dcm",
     ]
     .map(|name| folder.join(name))
     .into();

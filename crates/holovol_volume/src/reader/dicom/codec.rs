@@ -13,6 +13,30 @@ pub(super) enum Numbers {
     Words(Vec<u16>),
 }
 
+/// JPEG 2000 says in a few bytes that a tile is empty: pixels that need no bytes, and those that a
+/// byte may stand for beyond.
+const JPEG_2000_FREE: u64 = 4 << 20;
+const JPEG_2000_RATIO: u64 = 1024;
+
+/// How many pixels so many bytes may hold at most.
+pub(super) fn most_pixels(codec: Codec, pixels: &Pixels, bytes: u64) -> u64 {
+    match codec {
+        // What is in a file is counted when the header is read.
+        Codec::Native => u64::MAX,
+        // A run of 128 takes two bytes.
+        Codec::Rle => bytes.saturating_mul(64) / u64::from(pixels.bits_allocated / 8).max(1),
+        // Two bits for a block of 8 × 8.
+        Codec::Jpeg => bytes.saturating_mul(256),
+        // A bit for a line, or for 32768 of its pixels.
+        Codec::JpegLs => bytes
+            .saturating_mul(8)
+            .saturating_mul(u64::from(pixels.columns).min(1 << 15)),
+        Codec::Jpeg2000 => bytes
+            .saturating_mul(JPEG_2000_RATIO)
+            .saturating_add(JPEG_2000_FREE),
+    }
+}
+
 /// Decodes a frame. `Err` says what is wrong with it.
 pub(super) fn decode(codec: Codec, bytes: &[u8], pixels: &Pixels) -> Result<Numbers, String> {
     let count = pixels.count() as usize;
@@ -53,7 +77,7 @@ fn jpeg(bytes: &[u8], pixels: &Pixels) -> Result<Numbers, String> {
     }
     // A pixel takes a bit at least; of 8 × 8 blocks, two bits in 64.
     let lossless = matches!(info.pixel_format, jpeg_decoder::PixelFormat::L16);
-    if pixels.count() > (bytes.len() as u64).saturating_mul(if lossless { 8 } else { 512 }) {
+    if pixels.count() > (bytes.len() as u64).saturating_mul(if lossless { 8 } else { 256 }) {
         return Err("it is too short for its pixels".into());
     }
     let decoded = decoder.decode().map_err(|error| error.to_string())?;

@@ -9,12 +9,13 @@ use super::tags::{self, Tag, wanted};
 /// Deeper nesting than this is damage.
 const DEPTH_MAX: usize = 16;
 
-/// More items than this are no frames.
-const ITEMS_MAX: usize = 1 << 20;
-
-/// What describes a frame has at least this many bytes, where there are more than so many frames.
-const SMALL_ITEM_BYTES: usize = 48;
+/// What describes a frame has at least this many bytes, where there are more than so many items,
+/// those in others included.
+const SMALL_ITEM_BYTES: usize = 64;
 const SMALL_ITEMS_MAX: usize = 4096;
+
+/// A list of numbers is no longer than this as text.
+pub(super) const DECIMALS_BYTES_MAX: usize = 256 << 10;
 
 const UNDEFINED: u32 = u32::MAX;
 
@@ -151,11 +152,15 @@ impl<'a> Dataset<'a> {
         (!text.is_empty()).then(|| text.to_owned())
     }
 
-    /// Decimal or integer strings; `Err` holds a text that is none.
+    /// Decimal or integer strings; `Err` holds a text that is none, or longer than
+    /// [`DECIMALS_BYTES_MAX`].
     pub fn decimals(&self, tag: Tag) -> Result<Option<Vec<f64>>, String> {
         let Some(text) = self.text(tag) else {
             return Ok(None);
         };
+        if text.len() > DECIMALS_BYTES_MAX {
+            return Err(text);
+        }
         let number = |part: &str| {
             let part = part.trim_matches(|c: char| c.is_whitespace() || c == '\0');
             part.parse::<f64>().ok().filter(|number| number.is_finite())
@@ -194,6 +199,14 @@ impl<'a> Dataset<'a> {
             f64::from_le_bytes(bytes)
         })
     }
+}
+
+/// Most lists here have one entry, for which [`Vec::push`] would make room for four.
+fn push_tightly<T>(list: &mut Vec<T>, entry: T) {
+    if list.is_empty() {
+        list.reserve_exact(1);
+    }
+    list.push(entry);
 }
 
 struct Element {
@@ -308,7 +321,7 @@ impl<'a> Parser<'a> {
             let items = self.sequence(element.length, keep, depth + 1)?;
             self.encoding = outer;
             if keep && !dataset.elements.iter().any(|(tag, _)| *tag == element.tag) {
-                dataset.elements.push((element.tag, Value::Items(items)));
+                push_tightly(&mut dataset.elements, (element.tag, Value::Items(items)));
             }
             return Ok(());
         }
@@ -316,7 +329,7 @@ impl<'a> Parser<'a> {
         // A second one is damage; keeping it would let small files fill the memory.
         if keep && !dataset.elements.iter().any(|(tag, _)| *tag == element.tag) {
             let value = self.bytes.get(self.at..end).unwrap_or_default();
-            dataset.elements.push((element.tag, Value::Bytes(value)));
+            push_tightly(&mut dataset.elements, (element.tag, Value::Bytes(value)));
         }
         self.at = end;
         Ok(())
@@ -343,13 +356,7 @@ impl<'a> Parser<'a> {
             Some(self.end(length)?)
         };
         let mut items = Vec::new();
-        let start = self.at;
         while end.is_none_or(|end| self.at < end) {
-            if items.len() > SMALL_ITEMS_MAX && (self.at - start) / items.len() < SMALL_ITEM_BYTES {
-                return Err(Failure::Damaged(
-                    "a sequence holds thousands of empty items",
-                ));
-            }
             let tag = self.tag()?;
             let length = self.u32()?;
             match tag {
@@ -361,13 +368,15 @@ impl<'a> Parser<'a> {
                     ));
                 }
             }
-            self.items += 1;
-            if self.items > ITEMS_MAX {
-                return Err(Failure::Damaged("there are too many sequence items"));
+            if keep {
+                self.items += 1;
+                if self.items > SMALL_ITEMS_MAX && self.at / self.items < SMALL_ITEM_BYTES {
+                    return Err(Failure::Damaged("sequences hold thousands of empty items"));
+                }
             }
             let item = self.item(length, depth)?;
             if keep {
-                items.push(item);
+                push_tightly(&mut items, item);
             }
         }
         Ok(items)

@@ -13,6 +13,9 @@ use crate::reader::source::Source;
 /// Folders deeper than this are a loop.
 const DEPTH_MAX: usize = 64;
 
+/// Any file may be unpacked up to here.
+const UNPACKED_MIN: u64 = 2 << 20;
+
 /// More files than this are no study.
 const FILES_MAX: usize = 2_000_000;
 
@@ -29,6 +32,11 @@ pub(in crate::reader) trait Files: Sync {
     /// opening fails with [`VolumeError::Changed`] if the file has changed since the first.
     fn open(&self, index: usize, at_most: u64) -> Result<OpenFile<'_>, VolumeError>;
 
+    /// Bytes that a file takes where it is; [`u64::MAX`] where it isn't packed.
+    fn stored_bytes(&self, _index: usize) -> u64 {
+        u64::MAX
+    }
+
     /// Whether a file is as it was when it was found. What others watch over, is.
     ///
     /// # Errors
@@ -36,6 +44,12 @@ pub(in crate::reader) trait Files: Sync {
     fn check_unchanged(&self, _index: usize) -> Result<(), VolumeError> {
         Ok(())
     }
+}
+
+/// How many bytes of a file may be unpacked for anything but plain pixels: a small archive may
+/// claim a header of gigabytes. What isn't packed may be read whole.
+pub(super) fn unpacked_max(stored: u64) -> u64 {
+    stored.saturating_mul(4).max(UNPACKED_MIN)
 }
 
 /// An opened file.

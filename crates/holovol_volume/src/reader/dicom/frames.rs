@@ -3,8 +3,9 @@
 use std::sync::Arc;
 
 use super::dataset::Dataset;
-use super::files::Files;
-use super::header::{Image, Start, inflated};
+use super::describe::inflated;
+use super::files::{Files, unpacked_max};
+use super::header::{Image, Start};
 use super::syntax::Codec;
 use super::tags;
 use crate::VolumeError;
@@ -13,8 +14,9 @@ use crate::reader::source::Source;
 /// An item's tag and length.
 const ITEM_HEADER: u64 = 8;
 
-/// Headers and tables of compressed frames fit in.
-const COMPRESSED_EXTRA: u64 = 1 << 20;
+/// Fragments of less than this, on average, are damage where there are more than so many.
+const FRAGMENT_BYTES_MIN: u64 = 64;
+const SMALL_FRAGMENTS_MAX: usize = 4096;
 
 /// A file whose frames can be read.
 pub(super) struct FrameFile<'a> {
@@ -33,9 +35,8 @@ impl<'a> FrameFile<'a> {
         let needed = match image.syntax.codec {
             _ if image.syntax.deflated => u64::MAX,
             Codec::Native => frames.saturating_mul(image.pixels.frame_bytes()),
-            _ => frames
-                .saturating_mul(4 * image.pixels.count() + 64)
-                .saturating_add(COMPRESSED_EXTRA),
+            // Nobody gains much by packing them once more.
+            _ => unpacked_max(files.stored_bytes(image.file)),
         };
         let file = files.open(image.file, needed.saturating_add(image.data.offset))?;
         let mut source = file.source;
@@ -46,8 +47,11 @@ impl<'a> FrameFile<'a> {
                 .map_err(|error| VolumeError::io(&path(), error))?;
             let changed = || VolumeError::Changed { path: path() };
             let start = Start::find(&bytes).ok_or_else(changed)?;
-            let (_, at) = Dataset::parse_meta(&bytes, start.at()).map_err(|_| changed())?;
-            let unpacked = inflated(bytes.get(at..).unwrap_or_default(), image.file_length)
+            let (_, at) = Dataset::parse_meta(&bytes, start.at).map_err(|_| changed())?;
+            let at_most = frames
+                .saturating_mul(image.pixels.frame_bytes())
+                .saturating_add(image.data.offset);
+            let unpacked = inflated(bytes.get(at..).unwrap_or_default(), at_most)
                 .map_err(|error| VolumeError::decoding(&path(), error))?;
             source = Source::Owned(Arc::new(unpacked));
         }
@@ -112,6 +116,10 @@ fn fragments(source: &Source<'_>, image: &Image) -> Result<Vec<Vec<(u64, u64)>>,
     let mut all = Vec::new();
     while let Some(fragment) = next()? {
         all.push(fragment);
+        let bytes = fragment.0 - image.data.offset;
+        if all.len() > SMALL_FRAGMENTS_MAX && bytes / (all.len() as u64) < FRAGMENT_BYTES_MIN {
+            return Err("made of thousands of empty items");
+        }
     }
     let frames = image.frames.len();
     if frames == 1 {

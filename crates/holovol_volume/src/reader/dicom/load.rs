@@ -1,66 +1,22 @@
 //! From a series to a volume: every frame decoded into its place, by all cores.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use bytemuck::Pod;
-
 use super::codec::{self, Numbers};
+use super::convert::{Conversion, Lowest, Stored, StoredKind};
 use super::files::Files;
 use super::frames::FrameFile;
-use super::header::{Image, Photometric, Pixels};
+use super::header::{Image, Photometric};
 use super::series::{Series, Study};
 use super::stack::Slice;
 use super::syntax::Codec;
 use crate::reader::{Progress, ReadOptions, limits, parallel};
 use crate::{HeaderWindow, SourceFormat, Volume, VolumeError, Voxels};
 
-/// A type that frames are kept in.
-trait Stored: Pod + PartialOrd + Send + Sync {
-    /// From the low bits of a masked number; sign extension is done.
-    fn from_stored(number: i64) -> Self;
-
-    /// From a number with its slice's own scaling.
-    fn from_scaled(number: f64) -> Self;
-
-    fn to_f64(self) -> f64;
-
-    /// What takes the place of padding for now.
-    fn is_padding(self, padding: [i64; 2]) -> bool;
-}
-
-macro_rules! stored {
-    ($($number:ty),*) => {$(
-        impl Stored for $number {
-            fn from_stored(number: i64) -> Self {
-                number as Self
-            }
-
-            fn from_scaled(number: f64) -> Self {
-                number as Self
-            }
-
-            fn to_f64(self) -> f64 {
-                f64::from(self)
-            }
-
-            fn is_padding(self, [first, last]: [i64; 2]) -> bool {
-                let number = f64::from(self);
-                first as f64 <= number && number <= last as f64
-            }
-        }
-    )*};
-}
-stored!(u8, i8, u16, i16, f32);
-
-/// How a slice's numbers become voxels.
-struct Conversion {
-    pixels: Pixels,
-    /// The slice's own slope and intercept, if slices differ.
-    scaling: Option<(f64, f64)>,
-    padding: Option<[i64; 2]>,
-}
+/// Pixels that would be packed better than so many times have to be seen first.
+const PROVEN_RATIO: u64 = 64;
 
 pub(super) fn load(
     files: &dyn Files,
@@ -99,6 +55,11 @@ pub(super) fn load(
         .checked_mul(kind.bytes() as u64)
         .and_then(|bytes| bytes.checked_mul(count as u64));
     limits::check_voxel_bytes(path, bytes, options)?;
+    for slice in &stack.slices {
+        if let Some(image) = image_of(slice) {
+            check_claim(image, || files.name(image.file))?;
+        }
+    }
 
     let loading = Loading {
         files,
@@ -164,34 +125,23 @@ pub(super) fn load(
     Ok(volume)
 }
 
-#[derive(Clone, Copy)]
-enum StoredKind {
-    U8,
-    I8,
-    U16,
-    I16,
-    F32,
-}
-
-impl StoredKind {
-    fn of(pixels: &Pixels, same_scaling: bool) -> Self {
-        match (pixels.bits_allocated, pixels.signed) {
-            _ if pixels.float || !same_scaling => Self::F32,
-            (8, false) => Self::U8,
-            (8, true) => Self::I8,
-            (16, false) => Self::U16,
-            (16, true) => Self::I16,
-            _ => Self::F32,
-        }
+/// Refuses frames that the bytes of a file can't hold, however they are compressed.
+fn check_claim(image: &Image, name: impl Fn() -> PathBuf) -> Result<(), VolumeError> {
+    let claimed = image
+        .pixels
+        .count()
+        .saturating_mul(image.frames.len() as u64);
+    let most = codec::most_pixels(image.syntax.codec, &image.pixels, image.data_bytes);
+    if claimed <= most {
+        return Ok(());
     }
-
-    fn bytes(self) -> usize {
-        match self {
-            Self::U8 | Self::I8 => 1,
-            Self::U16 | Self::I16 => 2,
-            Self::F32 => 4,
-        }
-    }
+    Err(VolumeError::Field {
+        path: name(),
+        format: "DICOM",
+        field: "Pixel Data (7FE0,0010)".into(),
+        found: format!("{} bytes for {claimed} pixels", image.data_bytes),
+        expected: "as many bytes as such pixels take at least; get a good copy of the file".into(),
+    })
 }
 
 /// For every place in the volume the slice that goes there; `None` where one is missing.
@@ -224,6 +174,10 @@ struct Loading<'a> {
 impl<'a> Loading<'a> {
     fn voxels<T: Stored>(&self, progress: &mut dyn FnMut(Progress)) -> Result<Vec<T>, VolumeError> {
         let length = self.frame_len * self.count;
+        // Files of several frames are opened once.
+        let opened: Vec<OnceLock<FrameFile<'a>>> =
+            self.study.images.iter().map(|_| OnceLock::new()).collect();
+        self.prove_claim(size_of::<T>())?;
         let mut voxels = bytemuck::allocation::try_zeroed_slice_box::<T>(length)
             .map_err(|()| VolumeError::TooLarge {
                 path: self.path.into(),
@@ -231,9 +185,6 @@ impl<'a> Loading<'a> {
                 limit: "the memory that is free".into(),
             })?
             .into_vec();
-        // Files of several frames are opened once.
-        let opened: Vec<OnceLock<FrameFile<'a>>> =
-            self.study.images.iter().map(|_| OnceLock::new()).collect();
         let frame_bytes = (self.frame_len * size_of::<T>()) as u64;
         let total_bytes = frame_bytes * self.stack.len() as u64;
         let mut bytes = 0;
@@ -265,6 +216,51 @@ impl<'a> Loading<'a> {
         }
         self.interpolate(&mut voxels);
         Ok(voxels)
+    }
+
+    /// Decodes one frame to see whether there are such frames, before memory for all is taken:
+    /// where pixels would be packed very well.
+    fn prove_claim(&self, voxel_bytes: usize) -> Result<(), VolumeError> {
+        let image_of = |slice: &Slice| self.study.images.get(slice.image);
+        let (Some(first), Some(image)) =
+            (self.stack.first(), self.stack.first().and_then(image_of))
+        else {
+            return Ok(());
+        };
+        let images = self.stack.iter().filter_map(image_of);
+        let held = images.map(|image| image.data_bytes / image.frames.len().max(1) as u64);
+        let held = held.fold(0, u64::saturating_add);
+        let claimed = (self.frame_len * self.count * voxel_bytes) as u64;
+        if image.syntax.codec == Codec::Native || claimed / PROVEN_RATIO <= held {
+            return Ok(());
+        }
+        let file = FrameFile::open(self.files, image)?;
+        self.unpacked(&file, image, first).map(|_| ())
+    }
+
+    /// The numbers of a compressed frame.
+    fn unpacked(
+        &self,
+        file: &FrameFile<'_>,
+        image: &Image,
+        slice: &Slice,
+    ) -> Result<Numbers, VolumeError> {
+        let path = || self.files.name(image.file);
+        let bytes = file
+            .compressed(slice.frame.index)
+            .map_err(|error| VolumeError::io(&path(), error))?;
+        codec::decode(image.syntax.codec, &bytes, &image.pixels).map_err(|problem| {
+            VolumeError::Field {
+                path: path(),
+                format: "DICOM",
+                field: "Pixel Data (7FE0,0010)".into(),
+                found: format!(
+                    "not to be decoded in frame {}: {problem}",
+                    slice.frame.index + 1
+                ),
+                expected: "a whole compressed image; get a good copy of the file".into(),
+            }
+        })
     }
 
     /// Decodes a frame into its place.
@@ -323,23 +319,7 @@ impl<'a> Loading<'a> {
                 self.convert_bytes(&conversion, &bytes, image.syntax.big_endian, chunk);
             }
         } else {
-            let bytes = file
-                .compressed(slice.frame.index)
-                .map_err(|error| VolumeError::io(&path(), error))?;
-            let numbers =
-                codec::decode(image.syntax.codec, &bytes, &image.pixels).map_err(|problem| {
-                    VolumeError::Field {
-                        path: path(),
-                        format: "DICOM",
-                        field: "Pixel Data (7FE0,0010)".into(),
-                        found: format!(
-                            "not to be decoded in frame {}: {problem}",
-                            slice.frame.index + 1
-                        ),
-                        expected: "a whole compressed image; get a good copy of the file".into(),
-                    }
-                })?;
-            match numbers {
+            match self.unpacked(file, image, slice)? {
                 Numbers::Bytes(bytes) => self.convert_bytes(&conversion, &bytes, false, chunk),
                 Numbers::Words(words) => {
                     for (to, word) in chunk.iter_mut().zip(words) {
@@ -464,83 +444,6 @@ impl<'a> Loading<'a> {
                     }
                 }
             }
-        }
-    }
-}
-
-impl Conversion {
-    /// Whether voxels are the file's bytes as they are.
-    fn is_copy<T: Stored>(&self, big_endian: bool) -> bool {
-        let same_order =
-            self.pixels.bits_allocated == 8 || big_endian == cfg!(target_endian = "big");
-        let whole = self.pixels.bits_stored == self.pixels.bits_allocated;
-        let same_type = size_of::<T>() == usize::from(self.pixels.bits_allocated / 8)
-            && (size_of::<T>() < 4 || self.pixels.float);
-        same_order && same_type && self.scaling.is_none() && (whole || self.pixels.float)
-    }
-
-    /// The stored number: bits beyond it taken off, its sign extended.
-    fn number(&self, bits: u32) -> i64 {
-        let stored = u32::from(self.pixels.bits_stored).clamp(1, 32);
-        let low_bit = (u32::from(self.pixels.high_bit) + 1).saturating_sub(stored);
-        let number = i64::from(bits >> low_bit.min(31)) & ((1i64 << stored) - 1);
-        if self.pixels.signed {
-            number << (64 - stored) >> (64 - stored)
-        } else {
-            number
-        }
-    }
-
-    fn is_padding(&self, number: i64) -> bool {
-        self.padding
-            .is_some_and(|[first, last]| (first..=last).contains(&number))
-    }
-}
-
-/// The lowest number that is no padding, and whether there is padding.
-#[derive(Clone, Copy)]
-struct Lowest<T> {
-    value: Option<T>,
-    has_padding: bool,
-}
-
-impl<T> Default for Lowest<T> {
-    fn default() -> Self {
-        Self {
-            value: None,
-            has_padding: false,
-        }
-    }
-}
-
-impl<T: Stored> Lowest<T> {
-    fn of(chunk: &[T], conversion: &Conversion) -> Self {
-        // With a scaling of its own, a slice has NaN for padding.
-        let Some(padding) = conversion.padding.filter(|_| conversion.scaling.is_none()) else {
-            return Self::default();
-        };
-        chunk.iter().fold(Self::default(), |lowest, &voxel| {
-            lowest.and(if voxel.is_padding(padding) {
-                Self {
-                    value: None,
-                    has_padding: true,
-                }
-            } else {
-                Self {
-                    value: Some(voxel),
-                    has_padding: false,
-                }
-            })
-        })
-    }
-
-    fn and(self, other: Self) -> Self {
-        Self {
-            value: match (self.value, other.value) {
-                (Some(a), Some(b)) => Some(if b < a { b } else { a }),
-                (a, b) => a.or(b),
-            },
-            has_padding: self.has_padding || other.has_padding,
         }
     }
 }

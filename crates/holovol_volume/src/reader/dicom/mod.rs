@@ -7,7 +7,9 @@
 //! JPEG-LS.
 
 mod codec;
+mod convert;
 mod dataset;
+mod describe;
 mod files;
 mod frames;
 mod header;
@@ -29,9 +31,6 @@ use crate::{Volume, VolumeError};
 use files::{FolderFiles, SingleFile};
 use header::Start;
 use series::Study;
-
-/// Unpacked files beyond this are refused.
-const PACKED_MAX: u64 = 4 << 30;
 
 /// Reads DICOM files; folders of them are read by [`open_with`](crate::open_with).
 #[derive(Clone, Copy, Debug)]
@@ -73,7 +72,7 @@ impl VolumeReader for DicomReader {
 fn single(input: Input<'_>) -> Result<SingleFile<'_>, VolumeError> {
     Ok(SingleFile {
         path: input.path().to_path_buf(),
-        source: input.into_source(PACKED_MAX)?,
+        source: input.into_source()?,
     })
 }
 

@@ -238,7 +238,7 @@ impl Header {
         {
             let step = rest.first().copied().unwrap_or("1");
             let number = |word: &str| word.parse::<u64>().ok();
-            let names = numbered(pattern, number(first), number(last), number(step));
+            let names = numbered(pattern, number(first), number(last), step.parse().ok());
             return names.map(DataFile::List).ok_or_else(|| {
                 self.error(
                     "ElementDataFile",
@@ -350,14 +350,15 @@ pub(super) fn list(input: &mut Input<'_>) -> Result<Vec<String>, VolumeError> {
     Ok(names)
 }
 
-/// The names of `pattern` (with one `%d` or `%03d`) from the first to the last number.
+/// The names of `pattern` (with one `%d` or `%03d`) from the first to the last number, which a
+/// negative step counts down.
 pub(in crate::reader) fn numbered(
     pattern: &str,
     first: Option<u64>,
     last: Option<u64>,
-    step: Option<u64>,
+    step: Option<i64>,
 ) -> Option<Vec<String>> {
-    let (first, last, step) = (first?, last?, step.filter(|&step| step > 0)?);
+    let (first, last, step) = (first?, last?, step.filter(|&step| step != 0)?);
     let (before, rest) = pattern.split_once('%')?;
     let (digits, after) = rest.split_once('d')?;
     let width: usize = if digits.is_empty() {
@@ -365,13 +366,25 @@ pub(in crate::reader) fn numbered(
     } else {
         digits.parse().ok()?
     };
-    if width > 20 || first > last || (last - first) / step >= FILES_MAX as u64 {
+    let size = step.unsigned_abs();
+    let span = if step > 0 {
+        last.checked_sub(first)?
+    } else {
+        first.checked_sub(last)?
+    };
+    if width > 20 || span / size >= FILES_MAX as u64 {
         return None;
     }
-    let names = (first..=last).step_by(usize::try_from(step).ok()?);
+    let number = |index: u64| {
+        if step > 0 {
+            first + index * size
+        } else {
+            first - index * size
+        }
+    };
     Some(
-        names
-            .map(|number| format!("{before}{number:0width$}{after}"))
+        (0..=span / size)
+            .map(|index| format!("{before}{:0width$}{after}", number(index)))
             .collect(),
     )
 }

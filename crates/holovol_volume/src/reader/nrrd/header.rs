@@ -328,12 +328,12 @@ impl Header {
             && pattern.contains('%')
         {
             let number = |word: &str| word.parse::<u64>().ok();
-            let names = numbered(pattern, number(first), number(last), number(step));
+            let names = numbered(pattern, number(first), number(last), step.parse().ok());
             return names.map(DataFile::Several).ok_or_else(|| {
                 self.error(
                     "data file",
                     format!("{name:?}"),
-                    "a pattern such as slice%03d.raw with first, last and step, all 0 or more",
+                    "a pattern such as slice%03d.raw with first, last (0 or more) and a step towards it",
                 )
             });
         }

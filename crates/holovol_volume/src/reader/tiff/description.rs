@@ -1,10 +1,16 @@
 //! What an `ImageDescription` says of a stack: OME-XML, or ImageJ's lines.
 
+use std::collections::BTreeMap;
+
 /// A longer description is refused: XML trees need many times their text.
 const TEXT_BYTES_MAX: usize = 4 << 20;
 
-/// More elements than this need too much memory.
-const NODES_MAX: u32 = 200_000;
+/// An element or attribute of the tree takes about so many bytes, growing lists included ...
+const NODE_BYTES: usize = 160;
+
+/// ... of which there may be so many per byte of the file, beside [`TREE_BYTES_MIN`].
+const TREE_BYTES_PER_BYTE: usize = 2;
+const TREE_BYTES_MIN: usize = 1 << 20;
 
 /// How pages are to be understood.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,7 +24,7 @@ pub(super) struct Description {
     pub spacing: [Option<f64>; 3],
     pub channel_names: Vec<String>,
     /// Pages of planes (slice, channel, time) that are not in that order.
-    pub pages: Vec<([usize; 3], usize)>,
+    pub pages: BTreeMap<[usize; 3], usize>,
     /// Another file that the planes lie in.
     pub elsewhere: Option<String>,
     /// ImageJ's: all planes follow the first, without pages of their own.
@@ -42,14 +48,15 @@ impl Description {
             order: [Axis::Slice, Axis::Channel, Axis::Time],
             spacing: [None; 3],
             channel_names: Vec::new(),
-            pages: Vec::new(),
+            pages: BTreeMap::new(),
             elsewhere: None,
             is_imagej: false,
         }
     }
 
-    /// Understands a description; `None` if it is neither OME's nor ImageJ's.
-    pub fn parse(text: &str) -> Option<Self> {
+    /// Understands the description in a file of `length` bytes; `None` if it is neither OME's nor
+    /// ImageJ's, or needs far more memory than the file.
+    pub fn parse(text: &str, length: u64) -> Option<Self> {
         let text = text.trim_start_matches('\u{feff}').trim();
         if text.len() > TEXT_BYTES_MAX {
             return None;
@@ -58,15 +65,14 @@ impl Description {
             return imagej(text);
         }
         if text.starts_with('<') && text.contains("<OME") {
-            return ome(text);
+            return ome(text, length);
         }
         None
     }
 
     /// The page of a plane.
     pub fn page(&self, slice: usize, channel: usize, time: usize) -> usize {
-        let plane = [slice, channel, time];
-        if let Some((_, page)) = self.pages.iter().find(|(known, _)| *known == plane) {
+        if let Some(page) = self.pages.get(&[slice, channel, time]) {
             return *page;
         }
         let mut page = 0;
@@ -121,18 +127,22 @@ fn imagej(text: &str) -> Option<Description> {
             depth.zip(unit).map(|(depth, unit)| depth.abs() * unit),
         ],
         channel_names: Vec::new(),
-        pages: Vec::new(),
+        pages: BTreeMap::new(),
         elsewhere: None,
         is_imagej: true,
     })
 }
 
-fn ome(text: &str) -> Option<Description> {
-    let options = roxmltree::ParsingOptions {
-        nodes_limit: NODES_MAX,
-        ..roxmltree::ParsingOptions::default()
-    };
-    let tree = roxmltree::Document::parse_with_options(text, options).ok()?;
+fn ome(text: &str, length: u64) -> Option<Description> {
+    // Elements begin with the one, attributes hold the other.
+    let nodes = text.bytes().filter(|byte| b"<=".contains(byte)).count();
+    let most = (length as usize)
+        .saturating_mul(TREE_BYTES_PER_BYTE)
+        .saturating_add(TREE_BYTES_MIN);
+    if nodes.saturating_mul(NODE_BYTES) > most {
+        return None;
+    }
+    let tree = roxmltree::Document::parse(text).ok()?;
     let pixels = tree
         .descendants()
         .find(|node| node.tag_name().name() == "Pixels")?;
@@ -183,7 +193,7 @@ fn ome(text: &str) -> Option<Description> {
         order,
         spacing: [spacing("X"), spacing("Y"), spacing("Z")],
         channel_names,
-        pages: Vec::new(),
+        pages: BTreeMap::new(),
         elsewhere: None,
         is_imagej: false,
     };
@@ -208,7 +218,7 @@ fn ome(text: &str) -> Option<Description> {
                 && channel < description.channels
                 && time < description.times;
             if is_inside && description.page(slice, channel, time) != page {
-                description.pages.push((plane, page));
+                description.pages.insert(plane, page);
             }
         }
     }
@@ -245,7 +255,7 @@ mod tests {
             SizeT=\"3\" PhysicalSizeX=\"0.5\" PhysicalSizeZ=\"2\" PhysicalSizeZUnit=\"nm\" \
             Type=\"uint8\"><TiffData IFD=\"7\" FirstZ=\"1\" FirstC=\"0\" FirstT=\"0\" \
             PlaneCount=\"1\"/></Pixels></Image></OME>";
-        let found = Description::parse(text).expect("it is OME");
+        let found = Description::parse(text, 1000).expect("it is OME");
         assert_eq!((found.slices, found.channels, found.times), (5, 2, 3));
         assert_eq!(found.page(3, 1, 2), 1 + 2 * (3 + 5 * 2));
         assert_eq!(found.page(1, 0, 0), 7);
@@ -256,7 +266,7 @@ mod tests {
     fn imagej_counts_channels_first() {
         let text = "ImageJ=1.54\nimages=12\nchannels=2\nslices=3\nframes=2\nhyperstack=true\n\
             spacing=1.5\nunit=um\n";
-        let found = Description::parse(text).expect("it is ImageJ's");
+        let found = Description::parse(text, 1000).expect("it is ImageJ's");
         assert_eq!(found.page(2, 1, 1), 1 + 2 * (2 + 3));
         assert_eq!(found.spacing[2], Some(1.5e-6));
     }

@@ -5,6 +5,7 @@
 
 mod description;
 mod pixels;
+mod tables;
 
 use std::io::BufReader;
 use std::path::PathBuf;
@@ -21,14 +22,11 @@ use crate::{Geometry, SourceFormat, Volume, VolumeError, Voxels};
 use description::Description;
 use pixels::Reading;
 
-/// Unpacked files beyond this are refused.
-const PACKED_MAX: u64 = 4 << 30;
-
 /// More pages than this are damage.
 const PAGES_MAX: usize = 1 << 20;
 
 /// Room for the tables of the smallest files.
-const TABLE_BYTES_MIN: usize = 64 << 10;
+const TABLE_BYTES_MIN: usize = 256 << 10;
 
 /// Largest packed strip or tile.
 const CHUNK_BYTES_MAX: usize = 1 << 30;
@@ -89,6 +87,8 @@ struct Page {
     bits: u8,
     number: PageNumber,
     planar: bool,
+    /// Low values are to be bright: the crate turns numbers over, which is undone.
+    white_is_zero: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -129,6 +129,8 @@ struct Stack<'a> {
     pages: Vec<usize>,
     /// ImageJ's: where the planes lie, one after the other.
     planes_at: Option<u64>,
+    /// Tag 259: 1 for none.
+    compression: u16,
     big_endian: bool,
     spacing: [Option<f64>; 3],
     notices: Vec<String>,
@@ -158,9 +160,9 @@ fn decoder<'a>(source: &Source<'a>) -> Result<PageDecoder<'a>, TiffError> {
     // Pages are decoded into our own memory; the crate's is for tables, an entry of which takes 32
     // bytes there and 4 in the file.
     limits.decoding_buffer_size = (source.length() as usize)
-        .saturating_mul(8)
+        .saturating_mul(2)
         .saturating_add(TABLE_BYTES_MIN);
-    limits.intermediate_buffer_size = CHUNK_BYTES_MAX;
+    limits.intermediate_buffer_size = CHUNK_BYTES_MAX.min(source.length() as usize);
     limits.ifd_value_size = TAG_BYTES_MAX.min(source.length() as usize);
     let reader = BufReader::with_capacity(64 << 10, source.cursor(0));
     Ok(Decoder::new(reader)?.with_limits(limits))
@@ -169,7 +171,8 @@ fn decoder<'a>(source: &Source<'a>) -> Result<PageDecoder<'a>, TiffError> {
 impl<'a> Stack<'a> {
     fn open(input: Input<'a>) -> Result<Self, VolumeError> {
         let path = input.path().to_path_buf();
-        let source = input.into_source(PACKED_MAX)?;
+        let source = input.into_source()?;
+        tables::check(&source, &path)?;
         let error = |error| tiff_error(&path, error);
         let mut decoder = decoder(&source).map_err(error)?;
         let page = page(&mut decoder, &path)?;
@@ -192,7 +195,8 @@ impl<'a> Stack<'a> {
             .ok()
             .flatten()
             .and_then(|offsets| offsets.first().copied());
-        let is_packed: Option<u16> = decoder.find_tag_unsigned(Tag::Compression).ok().flatten();
+        let compression: Option<u16> = decoder.find_tag_unsigned(Tag::Compression).ok().flatten();
+        let compression = compression.unwrap_or(1);
         let big_endian = decoder.byte_order() == tiff::tags::ByteOrder::BigEndian;
 
         let mut pages = vec![0];
@@ -218,7 +222,9 @@ impl<'a> Stack<'a> {
                 "{others} pages of another size or type (thumbnails, say) are left out"
             ));
         }
-        let parsed = text.as_deref().and_then(Description::parse);
+        let parsed = text
+            .as_deref()
+            .and_then(|text| Description::parse(text, source.length()));
         let mut planes_at = None;
         let mut description = match parsed {
             Some(description) => {
@@ -226,7 +232,7 @@ impl<'a> Stack<'a> {
                 if description.is_imagej
                     && pages.len() == 1
                     && planes.is_some_and(|planes| planes > 1)
-                    && is_packed.is_none_or(|kind| kind == 1)
+                    && compression == 1
                 {
                     planes_at = first_strip;
                 }
@@ -269,6 +275,7 @@ impl<'a> Stack<'a> {
             description,
             pages,
             planes_at,
+            compression,
             big_endian,
             spacing,
             notices,
@@ -333,7 +340,15 @@ impl<'a> Stack<'a> {
         let bytes = (self.page.len() as u64)
             .checked_mul(slices.len() as u64)
             .and_then(|count| count.checked_mul(self.page.number.bytes() as u64));
-        limits::check_voxel_bytes(&self.path, bytes, options)?;
+        let bytes = limits::check_voxel_bytes(&self.path, bytes, options)?;
+        let available = tables::most_unpacked(self.source.length(), self.compression);
+        if available < bytes {
+            return Err(VolumeError::Truncated {
+                path: self.path.clone(),
+                expected: bytes,
+                available,
+            });
+        }
         if contents.len() > 1 {
             self.notices.push(format!(
                 "the file has {} channels and times: this is number {}; another can be chosen",
@@ -366,7 +381,7 @@ impl<'a> Stack<'a> {
             }
         };
         let geometry = self.geometry();
-        let volume = Volume::new(voxels, dims, 1.0, 0.0, geometry)?
+        let mut volume = Volume::new(voxels, dims, 1.0, 0.0, geometry)?
             .with_rounded(rounded)
             .with_source_format(SourceFormat {
                 name: "TIFF",
@@ -375,6 +390,12 @@ impl<'a> Stack<'a> {
                     PageNumber::Half => "f16",
                 },
             });
+        let [low, high] = volume.range();
+        if self.page.white_is_zero && low < high {
+            volume = volume
+                .with_header_window([high, low])
+                .with_notice("WhiteIsZero: low values are to be bright, so the window is reversed");
+        }
         Ok(self.notices.into_iter().fold(volume, Volume::with_notice))
     }
 
@@ -447,6 +468,14 @@ fn page(decoder: &mut PageDecoder<'_>, path: &std::path::Path) -> Result<Page, V
             )));
         }
     };
+    let photometric: Option<u16> = decoder
+        .find_tag_unsigned(Tag::PhotometricInterpretation)
+        .map_err(error)?;
+    let white_is_zero = photometric == Some(0);
+    if white_is_zero && format == SampleFormat::IEEEFP.to_u16() {
+        // 1 − x can't be undone exactly.
+        return Err(unsupported("its fractions are marked WhiteIsZero".into()));
+    }
     if samples == 0 || width == 0 || height == 0 {
         return Err(unsupported("a page without pixels".into()));
     }
@@ -457,5 +486,6 @@ fn page(decoder: &mut PageDecoder<'_>, path: &std::path::Path) -> Result<Page, V
         bits,
         number,
         planar: planar == Some(2) && samples > 1,
+        white_is_zero,
     })
 }

@@ -170,7 +170,11 @@ impl<'s, 'a> Pages<'s, 'a> {
         }
         let layout = self.stack.page;
         if layout.samples == 1 {
-            return self.decoder.read_image_bytes(out).map_err(error);
+            self.decoder.read_image_bytes(out).map_err(error)?;
+            if layout.white_is_zero {
+                out.iter_mut().for_each(|byte| *byte = !*byte);
+            }
+            return Ok(());
         }
         if layout.planar {
             // All planes, of which one is kept: the crate reads them from the first on.

@@ -13,7 +13,7 @@ const VERSION_MIN: u32 = 222;
 const VERSION_MAX: u32 = 224;
 
 /// More grids than this are damage.
-const GRIDS_MAX: u32 = 65_536;
+const GRIDS_MAX: u32 = 4096;
 
 /// Beyond version 213 a byte says so.
 const HAS_OFFSETS: u8 = 1;

@@ -20,9 +20,6 @@ use grid::{Descriptor, Transform};
 use stream::Stream;
 use tree::{Dense, Packing};
 
-/// Unpacked files beyond this are refused.
-const PACKED_MAX: u64 = 4 << 30;
-
 /// The grid that is read where there are several and nobody chose.
 const PREFERRED: &str = "density";
 
@@ -95,7 +92,7 @@ impl<'a> VdbFile<'a> {
     fn open(input: Input<'a>) -> Result<Self, VolumeError> {
         Ok(Self {
             path: input.path().to_path_buf(),
-            source: input.into_source(PACKED_MAX)?,
+            source: input.into_source()?,
         })
     }
 
