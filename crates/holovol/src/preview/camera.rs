@@ -131,10 +131,9 @@ impl Orbit {
         }
     }
 
-    /// `height`: of the window, logical pixels.
-    fn pan(&mut self, delta: Vec2, height: f32) {
-        // At the target's depth, with Bevy's default field of view of 45°.
-        let metres = 2.0 * self.distance * (std::f32::consts::FRAC_PI_8).tan() / height.max(1.0);
+    /// `metres`: of a logical pixel at distance 1.
+    fn pan(&mut self, delta: Vec2, metres: f32) {
+        let metres = metres * self.distance;
         let moved = Vec3::new(-delta.x, delta.y, 0.0) * metres;
         self.target += self.rotation() * moved;
     }
@@ -144,19 +143,28 @@ impl Orbit {
     }
 }
 
+/// Metres of a logical pixel at distance 1.
+fn pixel(camera: &Camera, projection: &Projection) -> f32 {
+    let height = camera.logical_viewport_size().map_or(1.0, |size| size.y);
+    let fov = match projection {
+        Projection::Perspective(perspective) => perspective.fov,
+        _ => std::f32::consts::FRAC_PI_4,
+    };
+    2.0 * (0.5 * fov).tan() / height.max(1.0)
+}
+
 fn pointer(
-    mut cameras: Query<&mut Orbit>,
+    mut cameras: Query<(&mut Orbit, &Camera, &Projection)>,
     buttons: Res<ButtonInput<MouseButton>>,
     keys: Res<ButtonInput<KeyCode>>,
     mut moved: MessageReader<CursorMoved>,
     mut wheel: MessageReader<MouseWheel>,
     mut pinch: MessageReader<PinchGesture>,
-    windows: Query<&Window>,
 ) {
-    let Ok(mut orbit) = cameras.single_mut() else {
+    let Ok((mut orbit, camera, projection)) = cameras.single_mut() else {
         return;
     };
-    let height = windows.iter().next().map_or(1.0, Window::height);
+    let metres = pixel(camera, projection);
     let pans = buttons.any_pressed([MouseButton::Right, MouseButton::Middle])
         || (buttons.pressed(MouseButton::Left)
             && keys.any_pressed([KeyCode::ShiftLeft, KeyCode::ShiftRight]));
@@ -164,7 +172,7 @@ fn pointer(
     let delta: Vec2 = moved.read().filter_map(|event| event.delta).sum();
     if delta != Vec2::ZERO {
         if pans {
-            orbit.pan(delta, height);
+            orbit.pan(delta, metres);
         } else if buttons.pressed(MouseButton::Left) {
             orbit.turn(delta);
         }
@@ -182,16 +190,16 @@ fn pointer(
 }
 
 /// One finger turns; two pan and zoom.
-fn touch(mut cameras: Query<&mut Orbit>, touches: Res<Touches>, windows: Query<&Window>) {
-    let Ok(mut orbit) = cameras.single_mut() else {
+fn touch(mut cameras: Query<(&mut Orbit, &Camera, &Projection)>, touches: Res<Touches>) {
+    let Ok((mut orbit, camera, projection)) = cameras.single_mut() else {
         return;
     };
-    let height = windows.iter().next().map_or(1.0, Window::height);
+    let metres = pixel(camera, projection);
     let fingers: Vec<_> = touches.iter().collect();
     match fingers.as_slice() {
         [one] if one.delta() != Vec2::ZERO => orbit.turn(one.delta()),
         [a, b] => {
-            orbit.pan(0.5 * (a.delta() + b.delta()), height);
+            orbit.pan(0.5 * (a.delta() + b.delta()), metres);
             let now = a.position().distance(b.position());
             let before = a.previous_position().distance(b.previous_position());
             if before > 1.0 && now > 1.0 && now != before {
@@ -206,6 +214,10 @@ fn keys(mut cameras: Query<&mut Orbit>, keys: Res<ButtonInput<KeyCode>>, time: R
     let Ok(mut orbit) = cameras.single_mut() else {
         return;
     };
+    // Those are shortcuts of the panel.
+    if keys.any_pressed(super::panel::CONTROL) {
+        return;
+    }
     if keys.just_pressed(KeyCode::Home) {
         orbit.go_home();
     }
@@ -276,6 +288,24 @@ mod tests {
                 seen.x > 0.005 && seen.y.abs() < 0.2 * seen.x,
                 "{up}: {seen}"
             );
+        }
+    }
+
+    #[test]
+    fn what_is_panned_stays_under_the_cursor() {
+        for (fov, height) in [(0.4f32, 600.0f32), (0.9, 300.0)] {
+            let mut orbit = Orbit::looking(Vec3::ZERO, Vec3::new(0.4, 0.2, 1.5), Vec3::Y);
+            let from = orbit.target;
+            let metres = 2.0 * (0.5 * fov).tan() / height;
+            orbit.pan(Vec2::new(50.0, 20.0), metres);
+            let seen = orbit
+                .transform()
+                .compute_affine()
+                .inverse()
+                .transform_point3(from);
+            // Pixels from the middle of the picture.
+            let pixels = Vec2::new(seen.x, -seen.y) / -seen.z / (0.5 * fov).tan() * 0.5 * height;
+            assert!(pixels.distance(Vec2::new(50.0, 20.0)) < 0.1, "{pixels}");
         }
     }
 

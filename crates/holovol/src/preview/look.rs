@@ -161,6 +161,8 @@ impl Look {
     pub(crate) fn set_transfer_function(&mut self, file: &TransferFunctionFile) {
         self.points = file.transfer_function.points().to_vec();
         self.optical_depth_scale = file.optical_depth_scale;
+        // Extinctions are the file's own.
+        self.density = 1.0;
         // A window of its own belongs to it; else that of the scan stays.
         if let Some(window) = file.window {
             self.window = window;
@@ -191,6 +193,13 @@ impl Look {
     /// Planes (n, w), n of length 1: what has n·x + w < 0 is left out. Those beyond
     /// [`MAX_PLANES`] are not there.
     pub(crate) fn clip_planes(&self, world_from_unit_cube: DMat4) -> Vec<DVec4> {
+        let mut planes = self.wanted_planes(world_from_unit_cube);
+        planes.truncate(MAX_PLANES);
+        planes
+    }
+
+    /// The planes that are on, and the sides of the box that are drawn in, however many.
+    pub(crate) fn wanted_planes(&self, world_from_unit_cube: DMat4) -> Vec<DVec4> {
         let mut planes = Vec::new();
         if self.crop.is_on {
             let normal_from_unit_cube = world_from_unit_cube.inverse().transpose();
@@ -217,7 +226,6 @@ impl Look {
             let w = plane.offset + plane.normal.dot(middle);
             planes.push((-plane.normal).extend(w));
         }
-        planes.truncate(MAX_PLANES);
         planes
     }
 

@@ -129,7 +129,6 @@ pub(crate) fn app(
             ..default()
         });
     app.add_plugins((adapt(plugins), EguiPlugin::default(), HolovolPlugins))
-        .insert_resource(ClearColor(Color::srgb(0.02, 0.02, 0.025)))
         .insert_resource(WinitSettings {
             focused_mode: UpdateMode::reactive(Duration::from_secs(1)),
             unfocused_mode: UpdateMode::reactive_low_power(Duration::from_secs(1)),
@@ -191,6 +190,11 @@ fn setup(mut commands: Commands, limit: Res<FrameLimit>) {
                 ..default()
             },
             camera::Orbit::default(),
+            // As pictures have it where there is no sky.
+            Camera {
+                clear_color: ClearColorConfig::Custom(Color::BLACK),
+                ..default()
+            },
         ))
         .id();
     commands.insert_resource(Session {

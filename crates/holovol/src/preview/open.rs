@@ -12,7 +12,7 @@ use bevy_holovol::environment::DEFAULT_INTENSITY;
 use bevy_holovol::prelude::*;
 use holovol_light::EnvironmentMap;
 use holovol_scene::{Background, Scene, SceneFile};
-use holovol_volume::{Content, ReadOptions, TransferFunctionFile, VolumeError};
+use holovol_volume::{CancelFlag, Content, ReadOptions, TransferFunctionFile, VolumeError};
 
 use super::camera::Orbit;
 use super::lights::Overview;
@@ -94,6 +94,8 @@ struct Reading {
     name: String,
     /// Of what a person opened.
     path: Option<PathBuf>,
+    /// For what can be stopped.
+    cancel: Option<CancelFlag>,
     progress: Arc<[AtomicU64; 2]>,
     thread: JoinHandle<Result<Opened, String>>,
 }
@@ -144,6 +146,24 @@ impl Opening {
         self.waiting.push(Wish { path, choice: None });
     }
 
+    pub(crate) fn can_cancel(&self) -> bool {
+        let is_stoppable = |reading: &Reading| reading.cancel.is_some();
+        self.reading.as_ref().is_some_and(is_stoppable)
+    }
+
+    /// Gives up what is being read; false if there is nothing that can be stopped.
+    pub(crate) fn cancel(&mut self) -> bool {
+        let cancel = self
+            .reading
+            .as_ref()
+            .and_then(|reading| reading.cancel.as_ref());
+        if let Some(cancel) = cancel {
+            cancel.cancel();
+            self.waiting.clear();
+        }
+        cancel.is_some()
+    }
+
     /// Asks which of the volumes of a file is wanted, also where one is read without asking.
     pub(crate) fn ask(&mut self, path: PathBuf) {
         self.begin(file_name(&path), move |_| {
@@ -192,6 +212,7 @@ impl Opening {
         self.reading = Some(Reading {
             name,
             path: None,
+            cancel: None,
             progress,
             // Not on Bevy's workers: the window's own pipelines are compiled by these meanwhile.
             thread: std::thread::spawn(move || read(&told)),
@@ -200,7 +221,7 @@ impl Opening {
 }
 
 /// What a name says of its file; the readers themselves go by content.
-fn read(wish: Wish, told: &[AtomicU64; 2]) -> Result<Opened, String> {
+fn read(wish: Wish, cancel: CancelFlag, told: &[AtomicU64; 2]) -> Result<Opened, String> {
     let path = wish.path.as_path();
     let progress = &mut |progress: holovol_volume::Progress| {
         told[0].store(progress.bytes, Ordering::Relaxed);
@@ -238,7 +259,7 @@ fn read(wish: Wish, told: &[AtomicU64; 2]) -> Result<Opened, String> {
             })))
         }
         FileKind::Volume => {
-            let mut options = ReadOptions::default();
+            let mut options = ReadOptions::default().with_cancel(cancel);
             options.choice.clone_from(&wish.choice);
             let volume = match holovol_volume::open_with(path, &options, progress) {
                 Err(VolumeError::Choose { what, contents, .. }) => {
@@ -274,10 +295,28 @@ fn open_first(mut opening: ResMut<Opening>, files: Res<FirstFiles>) {
 }
 
 fn dropped(mut events: MessageReader<FileDragAndDrop>, mut opening: ResMut<Opening>) {
-    for event in events.read() {
-        if let FileDragAndDrop::DroppedFile { path_buf, .. } = event {
-            opening.open(path_buf.clone());
-        }
+    let files = events.read().filter_map(|event| match event {
+        FileDragAndDrop::DroppedFile { path_buf, .. } => Some(path_buf.clone()),
+        _ => None,
+    });
+    for path in as_folder(files.collect()) {
+        opening.open(path);
+    }
+}
+
+/// Slices of a series that are dropped one by one are their folder.
+fn as_folder(files: Vec<PathBuf>) -> Vec<PathBuf> {
+    let is_slice = |path: &PathBuf| {
+        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+        path.is_file() && matches!(extension.as_deref(), None | Some("dcm" | "ima"))
+    };
+    let folder = files.first().and_then(|path| path.parent());
+    let is_series = files.len() > 1
+        && files.iter().all(|path| path.parent() == folder)
+        && files.iter().all(is_slice);
+    match folder {
+        Some(folder) if is_series => vec![folder.into()],
+        _ => files,
     }
 }
 
@@ -319,9 +358,13 @@ fn finish(
     } else if opening.choosing.is_none() && !opening.waiting.is_empty() {
         let wish = opening.waiting.remove(0);
         let path = wish.path.clone();
-        opening.begin(file_name(&path), move |told| read(wish, told));
+        let cancel = CancelFlag::default();
+        let is_volume = FileKind::of(&path) == FileKind::Volume;
+        let stop = is_volume.then(|| cancel.clone());
+        opening.begin(file_name(&path), move |told| read(wish, cancel, told));
         if let Some(reading) = &mut opening.reading {
             reading.path = Some(path);
+            reading.cancel = stop;
         }
     }
 }
@@ -463,6 +506,7 @@ impl Show<'_, '_> {
         self.studio.history.begin(&look);
         self.studio.look = look;
         self.studio.scan = Some(scan);
+        self.studio.opened += 1;
     }
 
     fn place_camera(&mut self, session: &Session, orbit: Orbit, fov: f32) {
@@ -478,4 +522,24 @@ impl Show<'_, '_> {
 fn file_name(path: &Path) -> String {
     let name = path.file_name().unwrap_or(path.as_os_str());
     name.to_string_lossy().into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slices_that_are_dropped_together_are_their_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = |name: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, "").unwrap();
+            path
+        };
+        let slices = vec![place("1.dcm"), place("IM0002")];
+        assert_eq!(as_folder(slices.clone()), [folder.path()]);
+        assert_eq!(as_folder(vec![slices[0].clone()]), slices[..1]);
+        let mixed = vec![slices[0].clone(), place("head.nii")];
+        assert_eq!(as_folder(mixed.clone()), mixed);
+    }
 }

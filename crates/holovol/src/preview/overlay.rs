@@ -39,8 +39,9 @@ impl Overlay {
         };
     }
 
-    pub(crate) fn leave_ruler(&mut self) {
-        self.ruler = None;
+    /// Puts the ruler away; false if it was not there.
+    pub(crate) fn leave_ruler(&mut self) -> bool {
+        self.ruler.take().is_some()
     }
 
     /// Sets an end of the ruler; false if there is none.
@@ -129,7 +130,7 @@ pub(crate) fn draw(
         }
     }
     if overlay.shows_marks {
-        let is_patient = scan.volume().geometry().oriented;
+        let is_patient = scan.is_patient();
         orientation(&painter, transform, free, is_patient);
         // At the depth of what is looked at.
         let side = transform.right().as_vec3() * orbit.distance * 0.1;

@@ -26,7 +26,7 @@ const STILL: f32 = 4.0;
 pub(crate) struct Pointer {
     pub(crate) hit: Option<Hit>,
     /// What `hit` was found for.
-    of: Option<(Vec2, GlobalTransform, Look)>,
+    of: Option<(Vec2, GlobalTransform, Look, u32)>,
     pressed_at: Option<Vec2>,
 }
 
@@ -45,13 +45,14 @@ fn hover(
         pointer.hit = None;
         return;
     };
-    // While the scan is turned nobody reads values.
-    if wants.wants_any_pointer_input() || buttons.any_pressed([MouseButton::Right]) {
+    // While the scan is turned or moved nobody reads values.
+    let drags = [MouseButton::Left, MouseButton::Right, MouseButton::Middle];
+    if wants.wants_any_pointer_input() || buttons.any_pressed(drags) {
         pointer.hit = None;
         pointer.of = None;
         return;
     }
-    let of = (cursor, *transform, studio.look.clone());
+    let of = (cursor, *transform, studio.look.clone(), studio.opened);
     if pointer.of.as_ref() == Some(&of) {
         return;
     }

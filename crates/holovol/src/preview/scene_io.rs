@@ -167,8 +167,8 @@ pub(crate) fn stem(name: &str) -> &str {
     }
 }
 
-/// The first of `folder/STEM.EXTENSION`, `STEM-2`, … that is free.
-pub(crate) fn free_name(folder: &Path, stem: &str, extension: &str) -> PathBuf {
+/// The first of `folder/STEM.EXTENSION`, `STEM-2`, … that is free, also with these other endings.
+pub(crate) fn free_name(folder: &Path, stem: &str, extension: &str, others: &[&str]) -> PathBuf {
     // What a file system or another program could trip over.
     let is_plain = |c: char| c.is_alphanumeric() || "-_.".contains(c);
     let stem: String = stem
@@ -177,13 +177,18 @@ pub(crate) fn free_name(folder: &Path, stem: &str, extension: &str) -> PathBuf {
         .collect();
     let stem = stem.trim_matches(['-', '.']);
     let stem = if stem.is_empty() { "view" } else { stem };
-    (1..)
-        .map(|n| match n {
-            1 => folder.join(format!("{stem}.{extension}")),
-            n => folder.join(format!("{stem}-{n}.{extension}")),
-        })
-        .find(|path| !path.exists())
-        .unwrap_or_else(|| folder.join(format!("{stem}.{extension}")))
+    let name = |n: u32| match n {
+        1 => stem.to_owned(),
+        n => format!("{stem}-{n}"),
+    };
+    let is_free = |name: &String| {
+        let endings = [extension].into_iter().chain(others.iter().copied());
+        endings
+            .map(|ending| folder.join(format!("{name}.{ending}")))
+            .all(|path| !path.exists())
+    };
+    let name = (1..).map(name).find(is_free);
+    folder.join(format!("{}.{extension}", name.as_deref().unwrap_or(stem)))
 }
 
 #[cfg(test)]
@@ -214,13 +219,16 @@ mod tests {
     #[test]
     fn names_are_free_and_plain() {
         let folder = tempfile::tempdir().unwrap();
-        let first = free_name(folder.path(), "a head, lit", "png");
+        let first = free_name(folder.path(), "a head, lit", "png", &[]);
         assert_eq!(first, folder.path().join("a-head--lit.png"));
         std::fs::write(&first, "").unwrap();
-        let second = free_name(folder.path(), "a head, lit", "png");
+        std::fs::write(folder.path().join("turn.0000.png"), "").unwrap();
+        let turn = free_name(folder.path(), "turn", "png", &["0000.png"]);
+        assert_eq!(turn, folder.path().join("turn-2.png"));
+        let second = free_name(folder.path(), "a head, lit", "png", &[]);
         assert_eq!(second, folder.path().join("a-head--lit-2.png"));
         assert_eq!(
-            free_name(folder.path(), "../..", "png"),
+            free_name(folder.path(), "../..", "png", &[]),
             folder.path().join("view.png")
         );
     }

@@ -43,17 +43,17 @@ impl Noise {
     pub(crate) const ALL: [(Self, &str, &str); 3] = [
         (
             Self::Left,
-            "left",
+            "keep",
             "Every sample as it was traced; a resting view gathers them",
         ),
         (
             Self::Paper,
-            "paper",
+            "as in the paper",
             "As Cheng et al. 2023: to compare with; blurred also at rest",
         ),
         (
             Self::Holovol,
-            "removed",
+            "remove",
             "By neighbours and earlier frames; at rest it becomes exact",
         ),
     ];

@@ -19,8 +19,8 @@ pub(crate) struct SliceViews {
     /// Where the three meet; the scan's middle at first.
     pub(crate) cross: Option<DVec3>,
     drawn: [Option<Drawn>; 3],
-    /// The scan that `cross` is in, by its name and size.
-    of: Option<(String, [u32; 3])>,
+    /// The scan that `cross` is in.
+    of: u32,
 }
 
 struct Drawn {
@@ -31,16 +31,15 @@ struct Drawn {
 
 pub(crate) fn draw(context: &egui::Context, panel: &mut Panel, shown: &mut Shown) {
     let views = &mut panel.slices;
-    let Some(scan) = &mut shown.studio.scan else {
+    let studio = &mut *shown.studio;
+    let Some(scan) = &mut studio.scan else {
         return;
     };
     if !views.is_open {
         return;
     }
-    let of = Some((shown.session.name.clone(), scan.volume().dims()));
-    if views.of != of {
-        views.of = of;
-        views.cross = None;
+    if views.of != studio.opened {
+        views.of = studio.opened;
         views.drawn = Default::default();
     }
     let mut cross = views.cross.unwrap_or(scan.middle());
@@ -118,7 +117,7 @@ fn one(
     let line = Stroke::new(1.0, Color32::from_rgba_unmultiplied(255, 196, 64, 170));
     painter.hline(rect.x_range(), centre.y, line);
     painter.vline(centre.x, rect.y_range(), line);
-    let letters = cut.letters(scan.volume().geometry().oriented);
+    let letters = cut.letters(scan.is_patient());
     let places = [
         (rect.left_center() + vec2(3.0, 0.0), Align2::LEFT_CENTER),
         (rect.right_center() - vec2(3.0, 0.0), Align2::RIGHT_CENTER),
@@ -129,7 +128,7 @@ fn one(
     for (letter, (place, align)) in letters.into_iter().zip(places) {
         painter.text(place, align, letter, font.clone(), Color32::WHITE);
     }
-    let name = if scan.volume().geometry().oriented {
+    let name = if scan.is_patient() {
         cut.name().to_owned()
     } else {
         let [left, right, bottom, top] = letters;

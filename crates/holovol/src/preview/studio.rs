@@ -27,6 +27,8 @@ pub(crate) struct Studio {
     pub(crate) look: Look,
     pub(crate) history: History,
     pub(crate) scan: Option<Scan>,
+    /// Scans opened so far: tells one from another.
+    pub(crate) opened: u32,
 }
 
 /// A volume with what the panel wants to know of it.
@@ -49,7 +51,10 @@ impl Scan {
             path: None,
             choice: None,
             histogram: asset.volume().histogram(),
-            grey: asset.volume().auto_window(),
+            grey: asset
+                .volume()
+                .header_window()
+                .unwrap_or_else(|| asset.volume().auto_window()),
             asset,
         }
     }
@@ -60,6 +65,20 @@ impl Scan {
 
     pub(crate) fn world_from_unit_cube(&self) -> DMat4 {
         self.asset.local_from_unit_cube()
+    }
+
+    /// Its axes are the patient's: the file says so, and it stands as the file has it.
+    pub(crate) fn is_patient(&self) -> bool {
+        let (here, in_file) = (
+            self.world_from_unit_cube(),
+            self.volume().world_from_unit_cube(),
+        );
+        let stands = (0..3).all(|axis| {
+            let [here, in_file] =
+                [here, in_file].map(|m| m.col(axis).truncate().normalize_or_zero());
+            here.dot(in_file) > 0.9999
+        });
+        self.volume().geometry().oriented && stands
     }
 
     pub(crate) fn longest_edge(&self) -> f64 {

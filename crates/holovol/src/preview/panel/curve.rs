@@ -205,17 +205,20 @@ fn selected(ui: &mut egui::Ui, curve: &mut Curve, look: &mut Look) {
         if ui.color_edit_button_rgb(&mut rgb).changed() {
             point.albedo = rgb.map(|c| f64::from(c.clamp(0.0, 1.0)));
         }
-        ui.label("glow");
+        ui.label("glow")
+            .on_hover_text("Light of its own, in the colour above");
         let mut glow = point.emission.iter().copied().fold(0.0, f64::max);
         let drag = egui::DragValue::new(&mut glow).speed(0.01).range(0.0..=1e4);
         if ui.add(drag).changed() {
             point.emission = point.albedo.map(|c| c * glow);
         }
         ui.end_row();
-        ui.label("rough");
+        ui.label("rough")
+            .on_hover_text("Of its surface: 0 a mirror, 1 dull");
         let fraction = |number| egui::DragValue::new(number).speed(0.005).range(0.0..=1.0);
         ui.add(fraction(&mut point.roughness));
-        ui.label("mirror");
+        ui.label("mirror")
+            .on_hover_text("Reflectance of its surface looked at straight on");
         ui.add(fraction(&mut point.specular));
         is_removed = look.points.len() > 1 && ui.button("Delete").clicked();
         ui.end_row();

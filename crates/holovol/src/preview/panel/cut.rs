@@ -16,7 +16,7 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
         .map(|(orbit, ..)| orbit.transform().back().as_vec3().as_dvec3().normalize());
     let studio = &mut *shown.studio;
     let Some(scan) = &studio.scan else { return };
-    let is_patient = scan.volume().geometry().oriented;
+    let is_patient = scan.is_patient();
     let radius = scan.radius();
     let matrix = scan.world_from_unit_cube();
     let look = &mut studio.look;
@@ -99,8 +99,15 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
     if let Some(index) = removed {
         look.planes.remove(index);
     }
-    let has_room = look.planes.len() + if look.crop.is_on { 6 } else { 0 } < MAX_PLANES;
-    let button = ui.add_enabled(has_room, egui::Button::new("New plane"));
+    let count = look.wanted_planes(matrix).len();
+    if count > MAX_PLANES {
+        let text = format!(
+            "Only {MAX_PLANES} planes cut at once: the last {} don't.",
+            count - MAX_PLANES
+        );
+        ui.colored_label(ui.visuals().warn_fg_color, text);
+    }
+    let button = ui.add_enabled(count < MAX_PLANES, egui::Button::new("New plane"));
     if button.clicked() {
         look.planes.push(Plane {
             normal: DVec3::Z,

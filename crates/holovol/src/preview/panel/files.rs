@@ -18,7 +18,8 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
         let field = ui.add(field);
         let entered = field.lost_focus() && ui.input(|input| input.key_pressed(egui::Key::Enter));
         if (ui.button("Open").clicked() || entered) && !panel.path.trim().is_empty() {
-            shown.opening.open(PathBuf::from(panel.path.trim()));
+            shown.opening.open(expand(&panel.path));
+            panel.path.clear();
         }
         let mut chosen = None;
         ui.menu_button("Recent", |ui| {
@@ -94,11 +95,26 @@ fn others(ui: &mut egui::Ui, shown: &mut Shown) {
     });
 }
 
+/// A path as it is typed: `~` is the user's own folder.
+pub(super) fn expand(typed: &str) -> PathBuf {
+    let typed = typed.trim();
+    let rest = match typed.strip_prefix('~') {
+        Some("") => Some(""),
+        Some(rest) => rest.strip_prefix(['/', std::path::MAIN_SEPARATOR]),
+        None => None,
+    };
+    let home = std::env::var_os("HOME").or_else(|| std::env::var_os("USERPROFILE"));
+    match (rest, home) {
+        (Some(rest), Some(home)) => PathBuf::from(home).join(rest),
+        _ => typed.into(),
+    }
+}
+
 /// Files and folders whose paths begin so, sorted; hidden ones only if asked for.
 fn completions(typed: &str) -> Vec<PathBuf> {
-    let path = Path::new(typed);
+    let path = &expand(typed);
     let (folder, begin) = if typed.ends_with(std::path::MAIN_SEPARATOR) {
-        (path, String::new())
+        (path.as_path(), String::new())
     } else {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         (path.parent().unwrap_or(Path::new("")), name.into_owned())
@@ -161,6 +177,11 @@ mod tests {
         assert_eq!(names("he"), ["Head.nii", "heart.nrrd"]);
         assert_eq!(names(""), ["Head.nii", "heart.nrrd", "lung.nii"]);
         assert_eq!(names(".h"), [".hidden"]);
+        assert_eq!(
+            expand(" ~/scans "),
+            PathBuf::from(std::env::var_os("HOME").unwrap_or_else(|| "~".into())).join("scans")
+        );
+        assert_eq!(expand("~ann/x"), Path::new("~ann/x"));
         assert_eq!(names("x"), Vec::<String>::new());
         assert!(completions("/nowhere/at/all/").is_empty());
     }

@@ -4,31 +4,9 @@ use bevy_egui::egui;
 
 use super::{Panel, Shown};
 
-const KEYS: [(&str, &str); 19] = [
-    ("drag, one finger", "turn"),
-    ("right drag, two fingers", "move"),
-    ("wheel, pinch", "nearer, farther"),
-    ("click", "moves the cross of the slices"),
-    ("1 2 3, 4 5 6", "from front, left, top; the opposite"),
-    ("Home", "first view"),
-    ("F", "fly or orbit"),
-    ("W A S D Q E", "fly"),
-    ("B", "bookmark"),
-    ("L", "slices"),
-    ("M", "marks: orientation, scale"),
-    ("R", "ruler: two clicks"),
-    ("P", "picture"),
-    ("Ctrl S", "save scene"),
-    ("Ctrl Z, Ctrl Y", "undo, redo"),
-    ("Esc", "stop ruler, pictures"),
-    ("Tab", "panel"),
-    ("F1", "about"),
-    ("right click on a point", "delete it"),
-];
-
 pub(super) fn keys(ui: &mut egui::Ui) {
     egui::Grid::new("keys").num_columns(2).show(ui, |ui| {
-        for (key, what) in KEYS {
+        for (key, what) in super::keys::LIST {
             ui.strong(key);
             ui.label(what);
             ui.end_row();
@@ -94,7 +72,7 @@ pub(super) fn about(context: &egui::Context, panel: &mut Panel) {
              and hide what they hide; measure and decide nothing about a patient by it.",
         );
         ui.add_space(8.0);
-        ui.label("Names of patients are neither shown nor kept.");
+        ui.label("What files hold of patients' names is neither shown nor kept; names of files and folders are.");
         ui.label("MIT or Apache-2.0, as you like.");
         ui.add_space(8.0);
         ui.button("Close").clicked()

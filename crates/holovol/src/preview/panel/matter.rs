@@ -84,7 +84,7 @@ fn save(panel: &Panel, shown: &mut Shown) {
     file.window = Some(look.window);
     file.transfer_function = file.transfer_function.scaled(look.density);
     let name = format!("{}.tf", super::stem(&shown.session.name));
-    let path = super::free_name(&panel.folder(), &name, "json");
+    let path = super::free_name(&panel.folder(), &name, "json", &[]);
     let outcome = serde_json::to_string_pretty(&file)
         .map_err(|error| crate::Failure::new(crate::Exit::Internal, error.to_string()))
         .and_then(|text| crate::output::write_text(&(text + "\n"), &path))

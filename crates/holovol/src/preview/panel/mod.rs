@@ -5,6 +5,7 @@ mod curve;
 mod cut;
 mod files;
 mod info;
+mod keys;
 mod light;
 mod matter;
 mod status;
@@ -17,11 +18,11 @@ use bevy::diagnostic::DiagnosticsStore;
 use bevy::prelude::*;
 use bevy::render::renderer::RenderAdapterInfo;
 use bevy_egui::egui::text::LayoutJob;
-use bevy_egui::{EguiContexts, EguiPrimaryContextPass, egui};
+use bevy_egui::{EguiContexts, EguiPreUpdateSet, EguiPrimaryContextPass, egui};
 use bevy_holovol::VolumeStatistics;
 use bevy_holovol::prelude::*;
-use glam::DVec3;
 use holovol_light::EnvironmentMap;
+pub(crate) use keys::CONTROL;
 
 use super::camera::Orbit;
 use super::look::LightSource;
@@ -41,7 +42,13 @@ impl Plugin for PanelPlugin {
     fn build(&self, app: &mut App) {
         app.init_resource::<Panel>()
             .add_systems(EguiPrimaryContextPass, draw)
-            .add_systems(Update, shortcuts);
+            .add_systems(Update, keys::shortcuts)
+            .add_systems(
+                PreUpdate,
+                keys::keep_tab
+                    .after(EguiPreUpdateSet::ProcessInput)
+                    .before(EguiPreUpdateSet::BeginPass),
+            );
     }
 }
 
@@ -64,6 +71,8 @@ pub(crate) struct Panel {
     samples: u32,
     turntable_frames: u32,
     shows_about: bool,
+    /// The scan that it was last drawn for.
+    of: u32,
     /// Pixels per point at which all glyphs have been drawn once.
     glyphs_at: f32,
 }
@@ -82,6 +91,7 @@ impl Default for Panel {
             samples: 256,
             turntable_frames: 36,
             shows_about: false,
+            of: 0,
             glyphs_at: 0.0,
         }
     }
@@ -112,8 +122,6 @@ pub(crate) struct Shown<'w, 's> {
     diagnostics: Res<'w, DiagnosticsStore>,
     quality: Res<'w, Quality>,
     adapter: Res<'w, RenderAdapterInfo>,
-    /// Beside the scan's part of the window.
-    behind: ResMut<'w, ClearColor>,
 }
 
 impl Shown<'_, '_> {
@@ -149,7 +157,7 @@ impl Shown<'_, '_> {
         let look = &self.studio.look;
         // Not `SCAN.json`, which describes raw voxels beside it.
         let name = format!("{}-view", stem(&self.session.name));
-        let path = free_name(&panel.folder(), &name, "json");
+        let path = free_name(&panel.folder(), &name, "json", &["nrrd", "light.exr"]);
         let file = scene_io::scene_file(look, scan, &view);
         let map = self.map();
         let source = &look.light.source;
@@ -172,11 +180,11 @@ impl Shown<'_, '_> {
         let look = &self.studio.look;
         let folder = panel.folder();
         let pictures = if frames == 1 {
-            let path = free_name(&folder, stem(&self.session.name), extension);
+            let path = free_name(&folder, stem(&self.session.name), extension, &[]);
             vec![(view.camera(), path)]
         } else {
             let name = format!("{}-turn", stem(&self.session.name));
-            let first = free_name(&folder, &name, extension);
+            let first = free_name(&folder, &name, extension, &[&format!("0000.{extension}")]);
             let cameras = super::pictures::turntable(&view, frames);
             let numbered = |frame| crate::output::numbered(&first, None, Some(frame));
             (0..frames)
@@ -217,7 +225,7 @@ pub(crate) fn viewpoint((orbit, camera, projection, exposure): CameraParts) -> O
 
 impl Panel {
     fn folder(&self) -> PathBuf {
-        PathBuf::from(self.folder.trim())
+        files::expand(&self.folder)
     }
 }
 
@@ -231,15 +239,6 @@ fn draw(mut contexts: EguiContexts, mut panel: ResMut<Panel>, mut shown: Shown) 
     };
     if context.theme() != theme {
         context.set_theme(theme);
-    }
-    let [r, g, b, _] = context
-        .global_style()
-        .visuals
-        .panel_fill
-        .to_srgba_unmultiplied();
-    let behind = ClearColor(Color::srgb_u8(r, g, b));
-    if shown.behind.0 != behind.0 {
-        *shown.behind = behind;
     }
     glyphs(&context, &mut panel.glyphs_at);
     if (context.zoom_factor() - shown.settings.zoom).abs() > 1e-3 {
@@ -259,6 +258,8 @@ fn draw(mut contexts: EguiContexts, mut panel: ResMut<Panel>, mut shown: Shown) 
         free.min.x += slice_views::WIDTH;
     }
     fit_viewport(&context, free, &mut shown);
+    paint_beside(&context, free);
+    forget_former_scan(panel, &shown);
     overlay::draw(&context, free, panel, &mut shown);
     status::draw(&context, &mut shown);
     slice_views::draw(&context, panel, &mut shown);
@@ -299,6 +300,29 @@ fn glyphs(context: &egui::Context, drawn_at: &mut f32) {
                 context.fonts_mut(|fonts| fonts.layout_job(job));
             }
         }
+    }
+}
+
+/// The window beside the scan's part of it.
+fn paint_beside(context: &egui::Context, free: egui::Rect) {
+    let screen = context.viewport_rect();
+    let fill = context.global_style().visuals.panel_fill;
+    let painter = context.layer_painter(egui::LayerId::background());
+    let mut left = screen;
+    left.max.x = free.min.x;
+    let mut right = screen;
+    right.min.x = free.max.x;
+    for beside in [left, right] {
+        painter.rect_filled(beside, 0.0, fill);
+    }
+}
+
+/// What was measured in one scan says nothing of the next.
+fn forget_former_scan(panel: &mut Panel, shown: &Shown) {
+    if panel.of != shown.studio.opened {
+        panel.of = shown.studio.opened;
+        panel.overlay.leave_ruler();
+        panel.slices.cross = None;
     }
 }
 
@@ -375,7 +399,7 @@ fn window(context: &egui::Context, panel: &mut Panel, shown: &mut Shown) {
                 let text = if shown.settings.is_light {
                     "Dark"
                 } else {
-                    "Light"
+                    "Bright"
                 };
                 if ui.button(text).clicked() {
                     shown.settings.is_light = !shown.settings.is_light;
@@ -419,74 +443,4 @@ fn buttons(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
             ui.toggle_value(&mut panel.slices.is_open, "Slices");
         });
     });
-}
-
-/// What keys do; [`info`] lists them.
-fn shortcuts(
-    keys: Res<ButtonInput<KeyCode>>,
-    typing: Res<bevy_egui::input::EguiWantsInput>,
-    mut panel: ResMut<Panel>,
-    mut shown: Shown,
-) {
-    if typing.wants_keyboard_input() || keys.get_just_pressed().len() == 0 {
-        return;
-    }
-    let panel = &mut *panel;
-    let control = keys.any_pressed([
-        KeyCode::ControlLeft,
-        KeyCode::ControlRight,
-        KeyCode::SuperLeft,
-        KeyCode::SuperRight,
-    ]);
-    let shift = keys.any_pressed([KeyCode::ShiftLeft, KeyCode::ShiftRight]);
-    let pressed = |key| keys.just_pressed(key);
-    let studio = &mut *shown.studio;
-    if control {
-        if pressed(KeyCode::KeyY) || (shift && pressed(KeyCode::KeyZ)) {
-            studio.history.redo(&mut studio.look);
-        } else if pressed(KeyCode::KeyZ) {
-            studio.history.undo(&mut studio.look);
-        } else if pressed(KeyCode::KeyS) {
-            shown.save_scene(panel);
-        }
-        return;
-    }
-    if pressed(KeyCode::Tab) {
-        panel.is_open = !panel.is_open;
-    }
-    if pressed(KeyCode::KeyP) {
-        shown.take_pictures(panel, "png", 1);
-    }
-    if pressed(KeyCode::KeyL) {
-        panel.slices.is_open = !panel.slices.is_open;
-    }
-    if pressed(KeyCode::KeyM) {
-        panel.overlay.shows_marks = !panel.overlay.shows_marks;
-    }
-    if pressed(KeyCode::KeyR) {
-        panel.overlay.toggle_ruler();
-    }
-    if pressed(KeyCode::KeyB) {
-        view::add_bookmark(&mut shown);
-    }
-    if pressed(KeyCode::Escape) {
-        panel.overlay.leave_ruler();
-        shown.pictures.cancel();
-    }
-    if pressed(KeyCode::F1) {
-        panel.shows_about = !panel.shows_about;
-    }
-    let sides = [
-        (KeyCode::Digit1, DVec3::Z),
-        (KeyCode::Digit2, DVec3::X),
-        (KeyCode::Digit3, DVec3::Y),
-        (KeyCode::Digit4, DVec3::NEG_Z),
-        (KeyCode::Digit5, DVec3::NEG_X),
-        (KeyCode::Digit6, DVec3::NEG_Y),
-    ];
-    for (key, from) in sides {
-        if pressed(key) {
-            view::look_from(&mut shown, from);
-        }
-    }
 }

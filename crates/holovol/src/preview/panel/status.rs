@@ -5,6 +5,7 @@ use bevy_egui::egui;
 use super::super::Status;
 use super::super::measure::length_text;
 use super::super::quality::RESTING_SAMPLES;
+use super::super::slices::direction_name;
 use super::Shown;
 
 pub(super) fn draw(context: &egui::Context, shown: &mut Shown) {
@@ -37,11 +38,16 @@ fn bar(ui: &mut egui::Ui, part: Option<f32>) {
 
 /// What takes a while.
 fn work(ui: &mut egui::Ui, shown: &mut Shown) {
+    let mut is_stopped = false;
     if let Some((name, part)) = shown.opening.progress() {
         ui.horizontal(|ui| {
             ui.label(format!("opening {name}"));
             bar(ui, part);
+            is_stopped = shown.opening.can_cancel() && ui.button("Stop").clicked();
         });
+    }
+    if is_stopped {
+        shown.opening.cancel();
     }
     if let Some(part) = shown.pictures.progress() {
         ui.horizontal(|ui| {
@@ -104,13 +110,22 @@ fn state(ui: &mut egui::Ui, shown: &Shown) {
             shown.session.name
         ));
         if let Some(hit) = shown.pointer.hit {
-            let [x, y, z] = (hit.at - scan.middle()).to_array().map(|m| {
-                let sign = if m < 0.0 { "−" } else { "" };
-                format!("{sign}{}", length_text(m.abs()))
+            let from_middle = (hit.at - scan.middle()).to_array();
+            let is_patient = scan.is_patient();
+            let places = [0, 1, 2].map(|axis| {
+                let metres: f64 = from_middle[axis];
+                let name = direction_name(axis, metres >= 0.0, is_patient);
+                let name = name.trim_start_matches(['+', '−']);
+                let sign = if is_patient || metres >= 0.0 {
+                    ""
+                } else {
+                    "−"
+                };
+                format!("{name} {sign}{}", length_text(metres.abs()))
             });
             ui.separator();
             ui.strong(Short(hit.value).to_string());
-            ui.label(format!("at {x}, {y}, {z}"));
+            ui.label(places.join("  "));
         }
     });
 }
@@ -126,7 +141,8 @@ impl std::fmt::Display for Short {
         } else if size >= 100.0 {
             write!(f, "{:.1}", self.0)
         } else {
-            write!(f, "{:.3}", self.0)
+            let text = format!("{:.3}", self.0);
+            f.write_str(text.trim_end_matches('0').trim_end_matches('.'))
         }
     }
 }

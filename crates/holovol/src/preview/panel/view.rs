@@ -7,6 +7,7 @@ use glam::DVec3;
 use super::super::camera::Orbit;
 use super::super::settings::Noise;
 use super::super::slices::direction_name;
+use super::super::studio::Scan;
 use super::{Panel, Shown};
 
 pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
@@ -24,11 +25,7 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
     });
     noise(ui, shown);
     exposure(ui, panel, shown);
-    let is_patient = shown
-        .studio
-        .scan
-        .as_ref()
-        .is_some_and(|scan| scan.volume().geometry().oriented);
+    let is_patient = shown.studio.scan.as_ref().is_some_and(Scan::is_patient);
     ui.horizontal(|ui| {
         ui.label("from");
         for axis in [2, 0, 1] {
@@ -90,7 +87,7 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
 fn noise(ui: &mut egui::Ui, shown: &mut Shown) {
     let mut chosen = shown.settings.noise;
     ui.horizontal(|ui| {
-        ui.label("noise is");
+        ui.label("noise");
         for (noise, name, what) in Noise::ALL {
             ui.selectable_value(&mut chosen, noise, name)
                 .on_hover_text(what);
