@@ -1,6 +1,6 @@
 //! What keys do.
 
-use bevy::input::keyboard::{Key, KeyboardInput};
+use bevy::input::keyboard::{Key, KeyboardFocusLost, KeyboardInput};
 use bevy::prelude::*;
 use bevy_egui::egui;
 use bevy_egui::input::EguiWantsInput;
@@ -70,35 +70,58 @@ fn letter(event: &KeyboardInput) -> Option<char> {
     Some(placed.to_ascii_lowercase())
 }
 
+/// Keys that are held; by the order of events, since a slow frame may hold a whole shortcut.
+#[derive(Default)]
+pub(super) struct Held {
+    control: bool,
+    shift: bool,
+}
+
+impl Held {
+    /// What is typed: a letter, and whether Control and Shift were held.
+    fn typed(&mut self, event: &KeyboardInput) -> Option<(char, bool, bool)> {
+        let is_pressed = event.state.is_pressed();
+        if CONTROL.contains(&event.key_code) {
+            self.control = is_pressed;
+        } else if [KeyCode::ShiftLeft, KeyCode::ShiftRight].contains(&event.key_code) {
+            self.shift = is_pressed;
+        } else if is_pressed && !event.repeat {
+            return Some((letter(event)?, self.control, self.shift));
+        }
+        None
+    }
+}
+
 pub(super) fn shortcuts(
     keys: Res<ButtonInput<KeyCode>>,
     mut typed: MessageReader<KeyboardInput>,
+    mut held: Local<Held>,
+    mut lost: MessageReader<KeyboardFocusLost>,
     wants: Res<EguiWantsInput>,
     mut panel: ResMut<Panel>,
     mut shown: Shown,
 ) {
-    let pressed = typed
-        .read()
-        .filter(|event| event.state.is_pressed() && !event.repeat);
-    let letters: Vec<char> = pressed.filter_map(letter).collect();
+    if lost.read().count() > 0 {
+        *held = Held::default();
+    }
+    let letters: Vec<_> = typed.read().filter_map(|event| held.typed(event)).collect();
     let is_asking = panel.shows_about || shown.opening.choosing.is_some();
     if is_asking || wants.wants_keyboard_input() || keys.get_just_pressed().len() == 0 {
         return;
     }
     let panel = &mut *panel;
-    let shift = keys.any_pressed([KeyCode::ShiftLeft, KeyCode::ShiftRight]);
-    let has = |letter| letters.contains(&letter);
     let studio = &mut *shown.studio;
-    if keys.any_pressed(CONTROL) {
-        if has('y') || (shift && has('z')) {
-            studio.history.redo(&mut studio.look);
-        } else if has('z') {
-            studio.history.undo(&mut studio.look);
-        } else if has('s') {
-            shown.save_scene(panel);
+    for &(letter, control, shift) in &letters {
+        match (letter, control, shift) {
+            ('y', true, _) | ('z', true, true) => studio.history.redo(&mut studio.look),
+            ('z', true, false) => studio.history.undo(&mut studio.look),
+            _ => {}
         }
-        return;
     }
+    if letters.iter().any(|typed| typed.0 == 's' && typed.1) {
+        shown.save_scene(panel);
+    }
+    let has = |letter| letters.iter().any(|typed| typed.0 == letter && !typed.1);
     let pressed = |key| keys.just_pressed(key);
     if pressed(KeyCode::Tab) {
         panel.is_open = !panel.is_open;
@@ -161,5 +184,28 @@ mod tests {
         assert_eq!(letter(&event(KeyCode::Semicolon, "M")), Some('m'));
         assert_eq!(letter(&event(KeyCode::KeyZ, "я")), Some('z'));
         assert_eq!(letter(&event(KeyCode::Semicolon, "ж")), None);
+    }
+
+    #[test]
+    fn a_shortcut_within_a_frame_is_one() {
+        let event = |key_code, logical_key, state| KeyboardInput {
+            key_code,
+            logical_key,
+            state,
+            text: None,
+            repeat: false,
+            window: Entity::PLACEHOLDER,
+        };
+        let control = |state| event(KeyCode::ControlLeft, Key::Control, state);
+        let s = event(
+            KeyCode::KeyS,
+            Key::Character("s".into()),
+            ButtonState::Pressed,
+        );
+        let mut held = Held::default();
+        assert_eq!(held.typed(&control(ButtonState::Pressed)), None);
+        assert_eq!(held.typed(&s), Some(('s', true, false)));
+        assert_eq!(held.typed(&control(ButtonState::Released)), None);
+        assert_eq!(held.typed(&s), Some(('s', false, false)));
     }
 }
