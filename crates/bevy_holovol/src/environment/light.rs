@@ -65,14 +65,20 @@ pub(super) fn update_map(
 ) {
     let map = match &environment.source {
         EnvironmentSource::Constant(radiance) => {
-            let texel = [radiance.red, radiance.green, radiance.blue];
+            // As maps have it, so that what is not light is the same in every frame, too.
+            let light = |c: f32| if c.is_finite() { c.max(0.0) } else { 0.0 };
+            let texel = [radiance.red, radiance.green, radiance.blue].map(light);
             let is_same = |map: &Arc<EnvironmentMap>| map.as_constant() == Some(texel);
             if current.0.as_ref().is_some_and(is_same) {
                 return;
             }
             Some(Arc::new(EnvironmentMap::constant(texel)))
         }
-        EnvironmentSource::Map(handle) => assets.get(handle).map(|asset| Arc::clone(asset.map())),
+        EnvironmentSource::Map(handle) => match assets.get(handle) {
+            Some(asset) => Some(Arc::clone(asset.map())),
+            // While another is read, the former goes on.
+            None => return,
+        },
     };
     let is_same = match (&current.0, &map) {
         (Some(a), Some(b)) => Arc::ptr_eq(a, b),

@@ -1,4 +1,5 @@
 use std::any::TypeId;
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use bevy::camera::visibility::VisibleEntities;
@@ -62,35 +63,54 @@ type ViewData<'a> = (
 #[expect(clippy::too_many_arguments, reason = "all that a volume consists of")]
 pub(super) fn extract_volumes(
     mut scene: ResMut<ExtractedScene>,
-    environment: Extract<Res<VolumeEnvironment>>,
-    map: Extract<Res<CurrentMap>>,
+    mut edges: Local<HashMap<Entity, f64>>,
+    environment: Extract<Option<Res<VolumeEnvironment>>>,
+    map: Extract<Option<Res<CurrentMap>>>,
     volumes: Extract<Query<VolumeData>>,
     is_volume: Extract<Query<(), With<Volume3d>>>,
     planes: Extract<Query<ClipPlaneData, With<VolumeClipPlane>>>,
     parents: Extract<Query<&ChildOf>>,
     views: Extract<Query<ViewData>>,
-    assets: Extract<Res<Assets<VolumeAsset>>>,
-    transfer_functions: Extract<Res<Assets<TransferFunctionAsset>>>,
+    assets: Extract<Option<Res<Assets<VolumeAsset>>>>,
+    transfer_functions: Extract<Option<Res<Assets<TransferFunctionAsset>>>>,
     overlaps: Extract<Res<MeshOverlaps>>,
 ) {
-    scene.environment.clone_from(&map.0);
+    // Without the plugin of the environment all is lit by uniform white light.
+    let environment = environment.as_deref().cloned().unwrap_or_default();
+    match map.as_deref() {
+        Some(map) => scene.environment.clone_from(&map.0),
+        None if scene.environment.is_none() => {
+            scene.environment = Some(Arc::new(EnvironmentMap::constant([1.0; 3])));
+        }
+        None => {}
+    }
     scene.volumes.clear();
     for (entity, transform, volume, material, medium) in &volumes {
-        let (Some(asset), Some(transfer_function)) =
-            (assets.get(&volume.0), transfer_functions.get(&material.0))
-        else {
+        let asset = assets.as_ref().and_then(|assets| assets.get(&volume.0));
+        let functions = transfer_functions.as_ref();
+        let function = functions.and_then(|functions| functions.get(&material.0));
+        let (Some(asset), Some(transfer_function)) = (asset, function) else {
             continue;
         };
+        let edge = steady(&mut edges, entity, longest_edge(asset, transform));
         let clip_planes = planes_of(entity, &planes, &parents, &is_volume);
         scene.volumes.push(ExtractedVolume {
             entity: entity.into(),
             volume: Arc::clone(asset.volume()),
             medium: Medium {
                 clip_planes,
-                ..medium_of(asset, transform, transfer_function, medium, &environment)
+                ..medium_of(
+                    asset,
+                    transform,
+                    edge,
+                    transfer_function,
+                    medium,
+                    &environment,
+                )
             },
         });
     }
+    edges.retain(|entity, _| volumes.contains(*entity));
     scene.views.clear();
     for (entity, camera, settings, visible, eye) in &views {
         if !camera.is_active {
@@ -139,19 +159,38 @@ fn join_eyes(views: &mut [ExtractedVolumeView]) {
     }
 }
 
-pub(crate) fn medium_of(
+/// A length that changes by no more than rounding does not change: extinctions that go by it would
+/// be other ones in every frame in which a volume turns.
+fn steady(lengths: &mut HashMap<Entity, f64>, of: Entity, length: f64) -> f64 {
+    const ROUNDING: f64 = 1e-5;
+    let known = lengths.entry(of).or_insert(length);
+    if (length - *known).abs() > ROUNDING * known.abs() {
+        *known = length;
+    }
+    *known
+}
+
+fn placement(asset: &VolumeAsset, transform: &GlobalTransform) -> DMat4 {
+    DMat4::from(transform.affine().as_daffine3()) * asset.local_from_unit_cube()
+}
+
+/// Metres.
+fn longest_edge(asset: &VolumeAsset, transform: &GlobalTransform) -> f64 {
+    let world_from_unit_cube = placement(asset, transform);
+    let edge = |axis| world_from_unit_cube.col(axis).truncate().length();
+    edge(0).max(edge(1)).max(edge(2))
+}
+
+fn medium_of(
     asset: &VolumeAsset,
     transform: &GlobalTransform,
+    longest_edge: f64,
     transfer_function: &TransferFunctionAsset,
     medium: &VolumeMedium,
     environment: &VolumeEnvironment,
 ) -> Medium {
     let volume = asset.volume();
     let file = transfer_function.file();
-    let world_from_local = DMat4::from(transform.affine().as_daffine3());
-    let world_from_unit_cube = world_from_local * asset.local_from_unit_cube();
-    let edge = |axis| world_from_unit_cube.col(axis).truncate().length();
-    let longest_edge = edge(0).max(edge(1)).max(edge(2));
     let window = medium
         .window
         .map(|(low, high)| [low, high])
@@ -161,7 +200,7 @@ pub(crate) fn medium_of(
     let function = file.for_volume_size(longest_edge);
     Medium {
         window,
-        world_from_unit_cube,
+        world_from_unit_cube: placement(asset, transform),
         transfer_function: scaled(&function, medium.density, medium.emission_intensity),
         phase_g: medium.phase_g,
         gradient_factor: medium.gradient_factor,

@@ -48,15 +48,17 @@ impl Plugin for VolumeRenderPlugin {
             .init_resource::<mesh_overlap::MeshOverlaps>()
             .init_resource::<settings::PendingResets>()
             .add_systems(First, settings::clear_resets)
-            .add_systems(Last, settings::note_resets)
-            .add_systems(
-                PostUpdate,
-                mesh_overlap::find.after(VisibilitySystems::CheckVisibility),
-            );
-        let Some(render_app) = app.get_sub_app_mut(RenderApp) else {
+            .add_systems(Last, settings::note_resets);
+        if app.get_sub_app(RenderApp).is_none() {
             return;
-        };
-        render_app
+        }
+        app.add_systems(
+            PostUpdate,
+            mesh_overlap::find
+                .after(VisibilitySystems::CheckVisibility)
+                .run_if(resource_exists::<Assets<crate::VolumeAsset>>),
+        );
+        app.sub_app_mut(RenderApp)
             .insert_resource(statistics)
             .init_resource::<extract::ExtractedScene>()
             .init_schedule(node::VolumeDepth)

@@ -103,7 +103,7 @@ pub(super) fn plan_frame(
             let Some(tracing) = inner.tracings.get_mut(&key) else {
                 continue;
             };
-            let Some(slot) = tracing.slot_of(*camera) else {
+            let Some(slot) = tracing.slot_of(*camera, size) else {
                 continue;
             };
             let meshes_changed = std::mem::replace(&mut tracing.overlaps[slot], overlap) != overlap;

@@ -73,12 +73,22 @@ impl<K, T: Send + 'static> Made<K, T> {
     }
 }
 
+/// Light on the device.
+struct UploadedLight {
+    map: Arc<EnvironmentMap>,
+    environment: Arc<GpuEnvironment>,
+    /// Change of light T to it.
+    change: f32,
+}
+
 /// A volume, and the number of scatterings that its views want.
 pub(super) type TracerKey = (MainEntity, Option<u32>);
 
 /// One volume for the views that want as many scatterings.
 pub(super) struct Tracing {
     pub(super) made: Made<Volume, FrameTracer>,
+    /// What it was begun with, to try again with another if that failed.
+    begun_with: Medium,
     /// Cameras and the largest images that there is room for.
     slots: Vec<(MainEntity, [u32; 2])>,
     /// Per slot, what the meshes inside were like.
@@ -98,8 +108,26 @@ impl Tracing {
         }
     }
 
-    pub(super) fn slot_of(&self, camera: MainEntity) -> Option<usize> {
-        self.slots.iter().position(|slot| slot.0 == camera)
+    /// The slot of a camera, if there is room for its image.
+    pub(super) fn slot_of(&self, camera: MainEntity, size: [u32; 2]) -> Option<usize> {
+        let fits = |&(other, room): &(MainEntity, [u32; 2])| {
+            other == camera && size[0] <= room[0] && size[1] <= room[1]
+        };
+        self.slots.iter().position(fits)
+    }
+
+    fn update(
+        &mut self,
+        medium: &Medium,
+        environment: Option<&Arc<GpuEnvironment>>,
+    ) -> Result<(), RenderError> {
+        let State::Ready(tracer) = &mut self.made.state else {
+            return Ok(());
+        };
+        if let Some(environment) = environment {
+            tracer.set_environment(environment)?;
+        }
+        tracer.set_medium(medium).map(|_| ())
     }
 
     /// Makes room for these views, unless there is.
@@ -140,8 +168,10 @@ pub(super) struct Inner {
     /// Drawn into for views of these shapes, one after the other.
     pub(super) depth_targets: Vec<DepthTarget>,
     volumes: Vec<Made<Volume, Arc<GpuVolume>>>,
-    /// With the change of light T to it.
-    environment: Option<Made<EnvironmentMap, (Arc<GpuEnvironment>, f32)>>,
+    environment: Option<UploadedLight>,
+    /// The next one: one at a time, so that light which changes in every frame arrives as fast as
+    /// it can be uploaded.
+    coming: Option<Made<EnvironmentMap, (Arc<GpuEnvironment>, f32)>>,
     light: LightChange,
     /// T since the last frame.
     pub(super) light_change: f32,
@@ -189,6 +219,7 @@ impl Inner {
             gpu,
             volumes: Vec::new(),
             environment: None,
+            coming: None,
             light: LightChange::default(),
             light_change: 0.0,
             denoise_kernels: None,
@@ -237,39 +268,52 @@ impl Inner {
         Ok(target)
     }
 
-    /// The light on the device. While another is being uploaded, the former stays.
-    fn environment(
+    /// Takes in the light that was uploaded, and begins with the next. While another is being
+    /// uploaded, the former stays.
+    fn update_environment(
         &mut self,
         map: &Arc<EnvironmentMap>,
         is_denoised: bool,
         statistics: &mut Statistics,
-    ) -> Option<(Arc<GpuEnvironment>, f32)> {
-        if !self
-            .environment
-            .as_ref()
-            .is_some_and(|made| made.is_of(map))
-        {
+    ) {
+        let mut is_there = false;
+        if let Some(coming) = &mut self.coming {
+            let map = Arc::clone(&coming.of);
+            if let State::Ready((environment, change)) = coming.poll() {
+                self.environment = Some(UploadedLight {
+                    map,
+                    environment: Arc::clone(environment),
+                    change: *change,
+                });
+                is_there = true;
+            }
+        }
+        if is_there {
+            self.coming = None;
+        }
+        let is_current = |light: &UploadedLight| Arc::ptr_eq(&light.map, map);
+        if self.environment.as_ref().is_some_and(is_current) {
+            return;
+        }
+        let is_free = match &self.coming {
+            None => true,
+            Some(coming) => matches!(coming.state, State::Failed(_)) && !coming.is_of(map),
+        };
+        if is_free {
             let (gpu, source) = (self.gpu.clone(), Arc::clone(map));
             statistics.uploads += 1;
-            let before = self.light.map().filter(|_| is_denoised).cloned();
-            // A small table and texture: its upload doesn't wait.
-            self.environment = Some(Made::begin(map, move || {
+            let before = self.environment.as_ref().filter(|_| is_denoised);
+            let before = before.map(|light| Arc::clone(&light.map));
+            self.coming = Some(Made::begin(map, move || {
                 let environment = GpuEnvironment::new(&gpu, &source)?;
                 // Nobody asks by how much the first differs.
                 let change = before.map_or(1.0, |before| environment_change(&before, &source));
                 Ok((Arc::new(environment), change))
             }));
         }
-        match self.environment.as_mut()?.poll() {
-            State::Ready((environment, change)) => Some((Arc::clone(environment), *change)),
-            State::Pending(_) => {
-                statistics.is_waiting = true;
-                None
-            }
-            State::Failed(reason) => {
-                statistics.errors.push(reason.clone());
-                None
-            }
+        match self.coming.as_ref().map(|coming| &coming.state) {
+            Some(State::Failed(reason)) => statistics.errors.push(reason.clone()),
+            _ => statistics.is_waiting = true,
         }
     }
 }
@@ -285,13 +329,13 @@ pub(super) fn prepare_volumes(
         return;
     };
     statistics.update(|statistics| {
-        statistics.errors.clear();
         statistics.is_waiting = false;
-        if let Err(error) = prepare(inner, &scene, &cameras, statistics) {
-            statistics.errors.push(error.to_string());
-        }
+        let before = std::mem::take(&mut statistics.errors);
+        prepare(inner, &scene, &cameras, statistics);
         for error in &statistics.errors {
-            warn_once!("{error}");
+            if !before.contains(error) {
+                warn!("{error}");
+            }
         }
     });
 }
@@ -301,7 +345,7 @@ fn prepare(
     scene: &ExtractedScene,
     cameras: &Query<(&MainEntity, &ExtractedView, &Msaa), With<ExtractedCamera>>,
     statistics: &mut Statistics,
-) -> Result<(), RenderError> {
+) {
     inner.light_change = 0.0;
     // What nobody uses any more goes first: it makes room.
     let is_used = |made: &Made<Volume, _>| scene.volumes.iter().any(|v| made.is_of(&v.volume));
@@ -314,18 +358,22 @@ fn prepare(
     inner.tracings.retain(|key, tracing| lives(key, tracing));
     let Some(map) = &scene.environment else {
         statistics.is_waiting |= !scene.volumes.is_empty();
-        return Ok(());
+        return;
     };
     let is_denoised = |view: &ExtractedVolumeView| view.settings.mode == VolumeRenderMode::Denoised;
     let is_denoised = scene.views.iter().any(is_denoised);
-    let mut environment = None;
-    if let Some((uploaded, exchanged)) = inner.environment(map, is_denoised, statistics) {
-        environment = Some(uploaded);
-        // One light for all volumes.
-        if let Some(ExtractedVolume { medium, .. }) = scene.volumes.first() {
-            let (rotation_y, scale) = (medium.environment_rotation_y, medium.environment_scale);
-            inner.light_change = inner.light.update(map, rotation_y, scale, |_| exchanged);
-        }
+    inner.update_environment(map, is_denoised, statistics);
+    let environment = inner
+        .environment
+        .as_ref()
+        .map(|light| Arc::clone(&light.environment));
+    // One light for all volumes.
+    if let (Some(light), Some(ExtractedVolume { medium, .. })) =
+        (&inner.environment, scene.volumes.first())
+    {
+        let (rotation_y, scale) = (medium.environment_rotation_y, medium.environment_scale);
+        let exchanged = |_: &EnvironmentMap| light.change;
+        inner.light_change = inner.light.update(&light.map, rotation_y, scale, exchanged);
     }
     let views: HashMap<_, _> = cameras
         .iter()
@@ -333,7 +381,9 @@ fn prepare(
         .collect();
     for (view, msaa) in views.values() {
         let target = composite_target(view, msaa);
-        inner.compositor.prepare(target)?;
+        if let Err(error) = inner.compositor.prepare(target) {
+            statistics.errors.push(error.to_string());
+        }
     }
     for extracted in &scene.volumes {
         let Some(volume) = inner.volume(&extracted.volume, statistics) else {
@@ -363,7 +413,10 @@ fn prepare(
                 max_scatters,
                 ..extracted.medium.clone()
             };
-            if !inner.tracings.contains_key(&key) {
+            let failed = |tracing: &Tracing| {
+                matches!(tracing.made.state, State::Failed(_)) && tracing.begun_with != medium
+            };
+            if inner.tracings.get(&key).is_none_or(failed) {
                 let Some(environment) = environment.clone() else {
                     continue;
                 };
@@ -375,19 +428,19 @@ fn prepare(
                 continue;
             };
             match tracing.made.poll() {
-                State::Ready(tracer) => {
-                    tracer.set_medium(&medium)?;
-                    if let Some(environment) = &environment {
-                        tracer.set_environment(environment)?;
+                // What is wrong with one volume concerns no other.
+                State::Ready(_) => {
+                    let updated = tracing.update(&medium, environment.as_ref());
+                    let updated = updated.and(tracing.make_room(&wanted, &scene.views));
+                    if let Err(error) = updated {
+                        statistics.errors.push(error.to_string());
                     }
-                    tracing.make_room(&wanted, &scene.views)?;
                 }
                 State::Pending(_) => statistics.is_waiting = true,
                 State::Failed(reason) => statistics.errors.push(reason.clone()),
             }
         }
     }
-    Ok(())
 }
 
 impl Tracing {
@@ -401,6 +454,7 @@ impl Tracing {
         let (gpu, kernels) = (inner.gpu.clone(), Arc::clone(&inner.kernels));
         let volume = Arc::clone(volume);
         Self {
+            begun_with: medium.clone(),
             made: Made::begin(&extracted.volume, move || {
                 let options = TraceOptions::default();
                 FrameTracer::new(&gpu, kernels, volume, environment, medium, options)

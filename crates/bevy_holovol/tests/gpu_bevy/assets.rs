@@ -2,6 +2,7 @@
 
 use std::io::Write;
 
+use bevy::camera::RenderTarget;
 use bevy::prelude::*;
 use bevy_holovol::prelude::*;
 use bevy_holovol::{
@@ -11,6 +12,7 @@ use bevy_holovol::{
 use crate::app::*;
 
 pub const TESTS: &[crate::Test] = &[
+    ("any_plugin_can_be_left_out", any_plugin_can_be_left_out),
     (
         "plugins_work_without_a_renderer",
         plugins_work_without_a_renderer,
@@ -27,6 +29,10 @@ pub const TESTS: &[crate::Test] = &[
     (
         "an_impossible_medium_is_reported",
         an_impossible_medium_is_reported,
+    ),
+    (
+        "what_is_wrong_with_one_volume_concerns_no_other",
+        one_bad_volume,
     ),
 ];
 
@@ -53,7 +59,37 @@ fn plugins_work_without_a_renderer() {
         app.world().get::<VolumeMaterial3d>(entity).is_some(),
         "what it requires"
     );
-    let _optional = VolumeRenderPlugin;
+}
+
+fn any_plugin_can_be_left_out() {
+    let groups = [
+        HolovolPlugins.build().disable::<VolumePlugin>(),
+        HolovolPlugins.build().disable::<TransferFunctionPlugin>(),
+        HolovolPlugins.build().disable::<VolumeEnvironmentPlugin>(),
+        HolovolPlugins.build().disable::<VolumeRenderPlugin>(),
+    ];
+    for (index, group) in groups.into_iter().enumerate() {
+        let mut app = app_with(group);
+        let target = target(&mut app, 8, 8);
+        spawn_camera(&mut app, &target, 4.0, settings(4));
+        app.world_mut()
+            .spawn((Volume3d::default(), Transform::default()));
+        for _ in 0..3 {
+            app.update();
+        }
+        if index == 2 {
+            // Volumes stand in white light then.
+            app.world_mut().remove_resource::<VolumeEnvironment>();
+            spawn_volume(&mut app, solid(Vec3::ONE), matter(3.0, 1.0));
+            finish(&mut app);
+            assert!(read(&mut app, &target).mean([3, 3, 5, 5]).x > 0.0);
+        }
+    }
+    let mut app = App::new();
+    app.add_plugins((MinimalPlugins, AssetPlugin::default(), HolovolPlugins));
+    app.finish();
+    app.cleanup();
+    app.update();
 }
 
 fn files_anywhere_are_opened() {
@@ -192,4 +228,52 @@ fn an_impossible_medium_is_reported() {
         .expect("a medium")
         .phase_g = 0.5;
     finish(&mut app);
+}
+
+fn one_bad_volume() {
+    let mut app = app();
+    app.insert_resource(ClearColor(Color::WHITE));
+    let phase_g = |app: &mut App, volume, g| {
+        let mut medium = app.world_mut().get_mut::<VolumeMedium>(volume);
+        medium.as_mut().expect("a medium").phase_g = g;
+    };
+    let place = |app: &mut App, volume: Entity, x| {
+        let mut entity = app.world_mut().entity_mut(volume);
+        entity.insert(Transform::from_xyz(x, 0.0, 0.0));
+    };
+    // Bad from the start, and the first of them.
+    let bad = spawn_volume(&mut app, solid(Vec3::splat(0.2)), matter(100.0, 0.0));
+    phase_g(&mut app, bad, 1.5);
+    place(&mut app, bad, -0.4);
+    let good = spawn_volume(&mut app, solid(Vec3::splat(0.2)), matter(100.0, 0.0));
+    place(&mut app, good, 0.4);
+    let first = target(&mut app, 48, 24);
+    let camera = spawn_camera(&mut app, &first, 4.0, settings(16));
+    let until_there = |app: &mut App, target: &Handle<Image>, pixel: [usize; 2]| {
+        let [x, y] = pixel;
+        for _ in 0..500 {
+            if read(app, target).mean([x, y, x + 1, y + 1]).x < 0.1 {
+                return true;
+            }
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        false
+    };
+    assert!(until_there(&mut app, &first, [32, 12]), "the good one");
+    // Views grow while something is wrong.
+    let second = target(&mut app, 96, 48);
+    app.world_mut()
+        .entity_mut(camera)
+        .insert(RenderTarget::Image(second.clone().into()));
+    assert!(
+        until_there(&mut app, &second, [64, 24]),
+        "the good one, larger"
+    );
+    assert!(!statistics(&app).errors.is_empty());
+    phase_g(&mut app, bad, 0.5);
+    finish(&mut app);
+    assert!(
+        until_there(&mut app, &second, [32, 24]),
+        "the bad one, mended"
+    );
 }

@@ -28,6 +28,7 @@ pub const TESTS: &[crate::Test] = &[
         "everything_is_tone_mapped_once",
         everything_is_tone_mapped_once,
     ),
+    ("light_that_changes_in_every_frame_arrives", changing_light),
 ];
 
 /// Albedo 1 in uniform light: radiance comes out as it goes in, so that the sky behind shows on.
@@ -225,5 +226,48 @@ fn everything_is_tone_mapped_once() {
     assert!(
         (inside - beside).xyz().abs().max_element() < 0.02,
         "{inside} in front of {beside}"
+    );
+}
+
+fn changing_light() {
+    let mut app = app();
+    spawn_volume(&mut app, solid(Vec3::splat(2.0)), matter(100.0, 1.0));
+    let target = target(&mut app, 16, 16);
+    let fresh = VolumeRenderSettings {
+        mode: VolumeRenderMode::Fresh,
+        ..settings(16)
+    };
+    spawn_camera(&mut app, &target, 4.0, fresh);
+    let shade = |app: &mut App, frame: u32| {
+        let grey = 0.5 + 0.001 * (frame % 7) as f32;
+        let mut environment = app.world_mut().resource_mut::<VolumeEnvironment>();
+        // Less than no light is none.
+        let radiance = LinearRgba::rgb(grey, grey, -1.0);
+        environment.source = EnvironmentSource::Constant(radiance);
+        app.update();
+    };
+    let mut found = 0.0;
+    for frame in 0..2000 {
+        shade(&mut app, frame);
+        if frame % 50 == 49 {
+            found = read(&mut app, &target).middle().x;
+            if found > 0.05 {
+                break;
+            }
+        }
+        std::thread::sleep(std::time::Duration::from_millis(2));
+    }
+    assert!(
+        found > 0.05,
+        "lit, though there was another light in each frame: {found}"
+    );
+    let uploads = statistics(&app).uploads;
+    for _ in 0..20 {
+        app.update();
+    }
+    let later = statistics(&app).uploads;
+    assert!(
+        later <= uploads + 2,
+        "the last light is uploaded once: {uploads}, {later}"
     );
 }

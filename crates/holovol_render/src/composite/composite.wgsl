@@ -83,6 +83,7 @@ fn fragment(@builtin(position) fragment: vec4<f32>) -> Pixel {
     var pixel: Pixel;
     pixel.depth = select(1.0, clamp(z / w, 0.0, 1.0), w > 0.0);
     let radiance = min(sums.rgb * composite.scale.x, vec3<f32>(BRIGHTEST));
-    pixel.color = vec4<f32>(radiance, sums.a * composite.scale.y);
+    // The mean of few samples may be above 1, and would take away from what is behind.
+    pixel.color = vec4<f32>(radiance, clamp(sums.a * composite.scale.y, 0.0, 1.0));
     return pixel;
 }

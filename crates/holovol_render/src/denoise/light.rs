@@ -1,12 +1,14 @@
 //! T: how much the light has changed, for renderers whose light is an environment map.
 
+use std::f64::consts::{PI, TAU};
+
 use holovol_light::change::ChangeDetector;
 use holovol_light::{EnvironmentMap, Grid};
 
 /// What an exchange counts for where it can't be measured: as a lamp switched on.
 const EXCHANGED: f32 = 0.9;
 /// A turn by 10° counts as the sun moved by as much: 0.5 (DESIGN §6).
-const PER_RADIAN: f64 = 0.5 * 18.0 / std::f64::consts::PI;
+const PER_RADIAN: f64 = 0.5 * 18.0 / PI;
 /// Texels that the detector's cells need along each side.
 const MEASURABLE: usize = 128;
 
@@ -40,7 +42,7 @@ fn channels(before: &EnvironmentMap, now: &EnvironmentMap) -> f32 {
         let (width, mut total) = (map.width(), [0.0; 3]);
         for (y, row) in map.texels().chunks_exact(width).enumerate() {
             let v = (y as f64 + 0.5) / map.height() as f64;
-            let solid_angle = (v * std::f64::consts::PI).sin() / (width * map.height()) as f64;
+            let solid_angle = (v * PI).sin() / (width * map.height()) as f64;
             for texel in row {
                 for (total, &c) in total.iter_mut().zip(texel) {
                     *total += solid_angle * f64::from(c);
@@ -104,7 +106,8 @@ impl LightChange {
             change = change.max(exchanged(&before.map));
         }
         if map.as_constant().is_none() {
-            let turn = PER_RADIAN * (rotation_y - before.rotation_y).abs();
+            let turned = (rotation_y - before.rotation_y).rem_euclid(TAU);
+            let turn = PER_RADIAN * turned.min(TAU - turned);
             change = change.max(turn.min(f64::from(EXCHANGED)) as f32);
         }
         change.clamp(0.0, 1.0)
