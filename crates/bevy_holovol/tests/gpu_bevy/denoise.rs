@@ -218,7 +218,8 @@ fn motion_is_better_than_samples() {
         measures(&picture.pixels, &truth)
     });
     eprintln!("relMSE {:.2e} fresh, {:.2e} denoised", fresh.1, denoised.1);
-    assert!(6.0 * denoised.1 < fresh.1, "{denoised:?}, {fresh:?}");
+    // A frame without history is 14 times better.
+    assert!(18.0 * denoised.1 < fresh.1, "{denoised:?}, {fresh:?}");
     let (true_mean, _) = measures(&truth, &truth);
     assert_near("the mean", (denoised.0 / true_mean) as f32, 1.0, 0.02);
 }
