@@ -12,6 +12,7 @@ use super::output::RoomOutput;
 use super::pose::{self, EyeView, FieldOfView};
 use super::session::CurrentFrame;
 use super::{HeadsetBlend, HeadsetStatus, MixedRealitySettings};
+use crate::RightEyeOf;
 use crate::environment::WithoutSky;
 use crate::interaction::Hands;
 
@@ -121,8 +122,9 @@ pub(crate) fn spawn(
 ) {
     let eyes = EyeImages::new(&mut images, &settings, status.eye_size);
     let origin = commands.spawn(MixedRealityOrigin).id();
+    let mut left = None;
     for index in 0..2 {
-        commands.spawn((
+        let mut eye = commands.spawn((
             EyeCamera(index),
             ChildOf(origin),
             Camera3d::default(),
@@ -139,6 +141,9 @@ pub(crate) fn spawn(
             settings.render.clone(),
             settings.layers.clone(),
         ));
+        if let Some(left) = left.replace(eye.id()) {
+            eye.insert(RightEyeOf(left));
+        }
     }
     commands.insert_resource(eyes);
 }

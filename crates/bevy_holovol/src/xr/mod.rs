@@ -89,7 +89,7 @@ pub use pose::{EyeView, FieldOfView};
 pub use pose::{RawView, TamperedViews};
 pub use simulate::{SimulatedHeadset, SimulationError};
 
-use crate::{InteractionPlugin, VolumeRenderSettings};
+use crate::{InteractionPlugin, VolumeRenderMode, VolumeRenderSettings};
 use graphics::{DeviceParts, GraphicsApi};
 use runtime::Runtime;
 use session::{Connection, CurrentFrame, Link};
@@ -186,8 +186,8 @@ pub struct MixedRealitySettings {
     /// Ways in which pictures meet the room, the preferred one first; asked when a session opens.
     /// By default [`HeadsetBlend::Alpha`], [`HeadsetBlend::Additive`], [`HeadsetBlend::Opaque`].
     pub blend_preference: Vec<HeadsetBlend>,
-    /// Of both eyes, at the start: afterwards it is a component of theirs. By default 4 fresh
-    /// samples per frame, since heads don't rest.
+    /// Of both eyes, at the start: afterwards it is a component of theirs. By default 2 samples
+    /// per frame, denoised, each eye with what the other knows.
     pub render: VolumeRenderSettings,
     /// What the eyes see, at the start; by default layer 0.
     pub layers: RenderLayers,
@@ -220,7 +220,8 @@ impl Default for MixedRealitySettings {
                 HeadsetBlend::Opaque,
             ],
             render: VolumeRenderSettings {
-                samples: 4,
+                mode: VolumeRenderMode::Denoised,
+                samples: 2,
                 ..default()
             },
             layers: RenderLayers::default(),

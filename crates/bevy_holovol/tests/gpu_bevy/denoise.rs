@@ -132,7 +132,8 @@ fn at_rest_is_exact() {
         "relMSE {:.2e} progressive, {:.2e} denoised",
         errors[0], errors[1]
     );
-    assert!(errors[1] < 1.2 * errors[0] + 1e-5, "{errors:?}");
+    // What the filter still has to say fades with 512 frames.
+    assert!(errors[1] < 1.4 * errors[0] + 1e-5, "{errors:?}");
 }
 
 fn a_finished_denoised_view_costs_nothing() {
@@ -218,7 +219,8 @@ fn motion_is_better_than_samples() {
         measures(&picture.pixels, &truth)
     });
     eprintln!("relMSE {:.2e} fresh, {:.2e} denoised", fresh.1, denoised.1);
-    assert!(6.0 * denoised.1 < fresh.1, "{denoised:?}, {fresh:?}");
+    // A frame without history is 14 times better.
+    assert!(18.0 * denoised.1 < fresh.1, "{denoised:?}, {fresh:?}");
     let (true_mean, _) = measures(&truth, &truth);
     assert_near("the mean", (denoised.0 / true_mean) as f32, 1.0, 0.02);
 }

@@ -3,8 +3,10 @@
 use std::sync::{Arc, Mutex};
 
 use bevy::prelude::*;
+use bevy_holovol::VolumeStatistics;
+use bevy_holovol::prelude::*;
 use bevy_holovol::xr::{
-    CapturedFrame, EyeView, HeadsetBlend, MixedRealitySettings, RawView, TamperedViews,
+    CapturedFrame, EyeCamera, EyeView, HeadsetBlend, MixedRealitySettings, RawView, TamperedViews,
 };
 use glam::{DMat4, DVec3, DVec4};
 use holovol_light::EnvironmentMap;
@@ -24,6 +26,10 @@ pub const TESTS: &[crate::Test] = &[
     (
         "what_is_drawn_is_what_was_located_last",
         what_is_drawn_is_what_was_located_last,
+    ),
+    (
+        "denoised_eyes_are_nearer_to_what_their_views_render",
+        denoised_eyes_are_nearer,
     ),
     (
         "eyes_see_a_point_where_it_projects_to",
@@ -234,6 +240,64 @@ fn assert_drawn_as_submitted(
         eprintln!("eye {eye}: z up to {z:.2}; against the other eye's view {z_of_other:.1}");
         assert!(z < 3.0, "{z}");
         assert!(z_of_other > 20.0, "the eyes see alike: {z_of_other}");
+    }
+}
+
+/// Relative squared error of radiance.
+fn relmse(found: &[[f32; 4]], expected: &[[f32; 4]]) -> f64 {
+    let pairs = found
+        .iter()
+        .zip(expected)
+        .flat_map(|(a, b)| (0..3).map(move |c| (f64::from(a[c]), f64::from(b[c]))));
+    let sum: f64 = pairs.map(|(a, b)| (a - b).powi(2) / (b * b + 0.01)).sum();
+    sum / (3 * expected.len()) as f64
+}
+
+/// Two samples per pixel and frame, from views that are located anew after the main world has seen
+/// them: the history of both eyes must be that of what was drawn.
+fn denoised_eyes_are_nearer() {
+    const FRAMES: u64 = 12;
+    let [fresh, denoised] = [VolumeRenderMode::Fresh, VolumeRenderMode::Denoised].map(|mode| {
+        let (mut app, volume, matter, place) = scene(MixedRealitySettings {
+            tampered_views: Some(TamperedViews(move_first_answer)),
+            ..settings()
+        });
+        show(&mut app);
+        let mut eyes = app
+            .world_mut()
+            .query::<(&EyeCamera, &mut VolumeRenderSettings)>();
+        for (_, mut eye) in eyes.iter_mut(app.world_mut()) {
+            (eye.mode, eye.samples) = (mode, 2);
+        }
+        let statistics = |app: &App| app.world().resource::<VolumeStatistics>().get();
+        let is_denoised = mode == VolumeRenderMode::Denoised;
+        let before = statistics(&app);
+        run_until(&mut app, "shown for a while", |app| {
+            let now = statistics(app);
+            assert_eq!(now.errors, Vec::<String>::new());
+            if is_denoised {
+                now.denoised >= before.denoised + 2 * FRAMES
+            } else {
+                now.dispatches > before.dispatches + 10
+            }
+        });
+        let frame = capture(&mut app);
+        let expected = offline(&frame, &volume, &matter, place);
+        let found = [0, 1].map(|eye| linear(&frame, eye));
+        let mean = |image: &[[f32; 4]]| image.iter().map(|p| f64::from(p[0])).sum::<f64>();
+        for eye in 0..2 {
+            let ratio = mean(&found[eye]) / mean(&expected[eye]);
+            assert!((ratio - 1.0).abs() < 0.02, "{mode:?}, eye {eye}: {ratio}");
+        }
+        let other = relmse(&found[0], &expected[1]);
+        let errors = [0, 1].map(|eye| relmse(&found[eye], &expected[eye]));
+        eprintln!("{mode:?}: relMSE {errors:?}, to the other eye's view {other:.2e}");
+        assert!(errors[0] < 0.5 * other, "the eyes see alike");
+        errors
+    });
+    for eye in 0..2 {
+        // 18 to 28 times; without history 12 to 14.
+        assert!(15.0 * denoised[eye] < fresh[eye], "{denoised:?}, {fresh:?}");
     }
 }
 

@@ -7,7 +7,10 @@ use super::{COUNTS, KEYS, STATE, TILE, TILES};
 use crate::{Gpu, RenderError};
 
 pub(super) struct Buffers {
+    /// Of the last frame's images.
     pub(super) sizes: Vec<[u32; 2]>,
+    /// Pixels and tiles that there is room for.
+    pub(super) room: [u32; 2],
     pub(super) uniform: wgpu::Buffer,
     pub(super) state: wgpu::Buffer,
     pub(super) keys: wgpu::Buffer,
@@ -17,20 +20,22 @@ pub(super) struct Buffers {
 }
 
 impl Buffers {
-    pub(super) fn new(gpu: &Gpu, sizes: &[[u32; 2]]) -> Result<Self, RenderError> {
-        let count = |side: u32| {
-            let of = |[width, height]: &[u32; 2]| {
-                u64::from(width.div_ceil(side)) * u64::from(height.div_ceil(side))
-            };
-            sizes.iter().map(of).sum::<u64>()
-        };
-        let (pixels, tiles) = (count(1), count(TILE));
-        let bytes = pixels * (16 * (STATE + KEYS + 1) + 8 * COUNTS) + 16 * TILES * tiles;
+    /// Makes room for images of `sizes`, and for all that the tracer has `rooms` for.
+    pub(super) fn new(
+        gpu: &Gpu,
+        sizes: &[[u32; 2]],
+        rooms: &[[u32; 2]],
+    ) -> Result<Self, RenderError> {
         let limits = gpu.device.limits();
         let limit = limits
             .max_storage_buffer_binding_size
             .min(limits.max_buffer_size);
-        if 16 * STATE * pixels > limit {
+        let is_too_much = |sizes| 16 * STATE * count(sizes, 1) > limit;
+        // Of rooms that are too large the part that is used now.
+        let rooms = if is_too_much(rooms) { sizes } else { rooms };
+        let [pixels, tiles] = [1, TILE].map(|side| count(sizes, side).max(count(rooms, side)));
+        let bytes = pixels * (16 * (STATE + KEYS + 1) + 8 * COUNTS) + 16 * TILES * tiles;
+        if is_too_much(sizes) {
             return Err(RenderError::OutOfMemory {
                 what: "denoising".into(),
                 bytes,
@@ -40,6 +45,7 @@ impl Buffers {
             let usage = Usage::STORAGE | Usage::COPY_SRC;
             Self {
                 sizes: sizes.to_vec(),
+                room: [pixels as u32, tiles as u32],
                 uniform: gpu.empty(
                     "holovol denoise",
                     size_of::<DenoiseUniform>() as u64,
@@ -53,4 +59,24 @@ impl Buffers {
             }
         })
     }
+
+    /// Whether there is room for such images, and not far too much.
+    pub(super) fn fits(&self, sizes: &[[u32; 2]], rooms: &[[u32; 2]]) -> bool {
+        let [pixels, tiles] = self.room.map(u64::from);
+        let needed = count(sizes, 1).max(count(rooms, 1));
+        count(sizes, 1) <= pixels && count(sizes, TILE) <= tiles && pixels <= 2 * needed
+    }
+
+    /// Of the last frame's images.
+    pub(super) fn pixels(&self) -> usize {
+        count(&self.sizes, 1) as usize
+    }
+}
+
+/// Squares of so many pixels a side in images of these sizes.
+fn count(sizes: &[[u32; 2]], side: u32) -> u64 {
+    let of = |[width, height]: &[u32; 2]| {
+        u64::from(width.div_ceil(side)) * u64::from(height.div_ceil(side))
+    };
+    sizes.iter().map(of).sum()
 }

@@ -23,15 +23,17 @@ struct Eye {
     image: vec4<u32>,
     // x: samples of this frame; y: HISTORY flags; z: first tile; w: tiles across.
     frame: vec4<u32>,
-    // x: frames of history that may be kept; y: factor on it; z: change of light T; w: unused.
+    // x: frames of history that may be kept; y: factor on it; z: change of light T; w: factor on
+    // what tiles remember.
     history: vec4<f32>,
-    // x: which of the tracer's views it is; yzw: unused.
+    // x: which of the tracer's views it is; yzw: pixels across and down of the last frame, and its
+    // first pixel there.
     place: vec4<u32>,
 }
 
 struct Denoise {
     eyes: array<Eye, 2>,
-    // x: eyes; y: pixels of all eyes; z: tiles of all eyes; w: unused.
+    // x: eyes; y: pixels of a half, those of all eyes at least; z: tiles, likewise; w: unused.
     counts: vec4<u32>,
     // Which half, 0 or 1, is x: this frame's, y: the last one's, z: this frame's of the tiles.
     halves: vec4<u32>,

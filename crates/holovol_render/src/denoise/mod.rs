@@ -149,7 +149,8 @@ impl Denoiser {
     /// Records the passes for images that the tracer has recorded samples for in this encoder.
     /// Waits for the compiler unless [`Denoiser::is_ready`] has said that it need not.
     ///
-    /// Images that have changed their size, or another number of eyes, begin anew.
+    /// Images of another size than the last keep their history as long as they fit the tracer's
+    /// room for them; another number of eyes begins anew.
     ///
     /// # Errors
     /// [`RenderError::Scene`] for no eye, more than two, or one without samples;
@@ -181,13 +182,19 @@ impl Denoiser {
         }
         let guides = self.compiled_guides(tracer)?;
         let sizes: Vec<_> = images.iter().map(|image| image.size).collect();
-        if frame.reset || self.buffers.as_ref().is_none_or(|b| b.sizes != sizes) {
+        let eyes = self.before.as_ref().map(|before| before.views.len());
+        if frame.reset || eyes != Some(images.len()) {
             self.reset();
         }
-        if self.buffers.as_ref().is_none_or(|b| b.sizes != sizes) {
-            // The old ones make room first.
-            self.buffers = None;
-            self.buffers = Some(Buffers::new(&self.gpu, &sizes)?);
+        let rooms: Vec<_> = frame.slots.iter().map(|&slot| tracer.room(slot)).collect();
+        match &mut self.buffers {
+            Some(buffers) if buffers.fits(&sizes, &rooms) => buffers.sizes.clone_from(&sizes),
+            _ => {
+                // The old ones make room first.
+                self.reset();
+                self.buffers = None;
+                self.buffers = Some(Buffers::new(&self.gpu, &sizes, &rooms)?);
+            }
         }
         let medium = tracer.medium();
         let views: Vec<_> = images.iter().map(|image| image.view).collect();
@@ -286,12 +293,19 @@ impl Denoiser {
             f32::INFINITY
         };
         let most = if same { f32::MAX } else { settings.max_frames };
-        let (mut pixels, mut tiles) = (0, 0);
+        let before = self.before.as_ref().map_or(&[][..], |before| &before.views);
+        let sizes_before: Vec<_> = before.iter().map(|view| view.size).collect();
+        let is_resized = !images
+            .iter()
+            .map(|image| image.size)
+            .eq(sizes_before.iter().copied());
+        let (mut pixels, mut tiles, mut pixels_before) = (0, 0, 0);
         for (i, image) in images.iter().enumerate() {
             let mut eye = EyeUniform::new(&image.view);
             let [width, height] = image.size;
-            let before = self.before.as_ref().and_then(|before| before.views.get(i));
-            let previous = before.and_then(|view| projection(&image.view, view, moved));
+            let previous = before
+                .get(i)
+                .and_then(|view| projection(&image.view, view, moved));
             let history = match previous {
                 _ if same => History::Same,
                 Some(_) => History::Moved,
@@ -307,12 +321,17 @@ impl Denoiser {
             let across = width.div_ceil(TILE);
             eye.image = [width, height, image.first_pixel, pixels];
             eye.frame = [image.samples, history as u32, tiles, across];
-            eye.history = [most.min(kept), 1.0, change, 0.0];
-            eye.place = [frame.slots[i] as u32, 0, 0, 0];
+            let remembers = if is_resized { 0.0 } else { 1.0 };
+            eye.history = [most.min(kept), 1.0, change, remembers];
+            let [width_before, height_before] = sizes_before.get(i).copied().unwrap_or_default();
+            let slot = frame.slots[i] as u32;
+            eye.place = [slot, width_before, height_before, pixels_before];
+            pixels_before += width_before * height_before;
             uniform.eyes[i] = eye;
             pixels += width * height;
             tiles += across * height.div_ceil(TILE);
         }
+        let [pixels, tiles] = self.buffers.as_ref().map_or([0; 2], |b| b.room);
         uniform.counts = [images.len() as u32, pixels, tiles, 0];
         let before = if same { self.half } else { 1 - self.half };
         uniform.halves = [self.half, before, self.tile_half, 0];
@@ -383,7 +402,8 @@ impl Denoiser {
                 [0.0; 2]
             }
         };
-        Ok(keys[now..now + pixels].iter().map(depth).collect())
+        let used = buffers.pixels();
+        Ok(keys[now..now + used].iter().map(depth).collect())
     }
 
     /// The guides of both eyes: albedo · opacity, and opacity.
@@ -400,7 +420,7 @@ impl Denoiser {
             .read_buffer("the guides", &buffers.state, buffers.state.size())?;
         let state: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
         let pixels = state.len() / STATE as usize;
-        Ok(state[2 * pixels..3 * pixels].to_vec())
+        Ok(state[2 * pixels..2 * pixels + buffers.pixels()].to_vec())
     }
 }
 

@@ -472,6 +472,11 @@ impl FrameTracer {
         })
     }
 
+    /// The largest image that a view may have; 0 × 0 where there is no such view.
+    pub(crate) fn room(&self, slot: usize) -> [u32; 2] {
+        self.slots.get(slot).map_or([0; 2], |slot| slot.room)
+    }
+
     /// Sums of all images: two vectors per pixel of premultiplied radiance and opacity.
     pub fn accumulators(&self) -> &wgpu::Buffer {
         &self.buffers.accumulators

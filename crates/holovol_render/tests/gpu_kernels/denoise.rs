@@ -38,6 +38,8 @@ struct Rig<'a> {
     gpu: &'a Gpu,
     tracer: FrameTracer,
     medium: Medium,
+    /// If not that of the images themselves.
+    room: Option<[u32; 2]>,
 }
 
 impl<'a> Rig<'a> {
@@ -64,6 +66,7 @@ impl<'a> Rig<'a> {
             gpu,
             tracer,
             medium,
+            room: None,
         })
     }
 
@@ -81,8 +84,9 @@ impl<'a> Rig<'a> {
 
     fn trace(&mut self, cameras: &[Camera], samples: u32) -> Result<(), String> {
         self.tracer.set_medium(&self.medium).map_err(text)?;
-        let sizes: Vec<_> = cameras.iter().map(|c| [c.width, c.height]).collect();
-        self.tracer.set_views(&sizes).map_err(text)?;
+        let room = |c: &Camera| self.room.unwrap_or([c.width, c.height]);
+        let rooms: Vec<_> = cameras.iter().map(room).collect();
+        self.tracer.set_views(&rooms).map_err(text)?;
         let views: Vec<_> = cameras
             .iter()
             .enumerate()
@@ -288,8 +292,47 @@ pub fn equal_eyes_get_equal_images(gpu: &Gpu) -> Result<(), String> {
     Ok(())
 }
 
-/// Cuts, teleports, other sizes, one eye or two, and media that vanish: always finite, and a new
-/// size begins anew.
+/// A frame after some at three quarters of its resolution, or the other way round: nearer to the truth than a fresh start,
+/// if the tracer has room for both.
+pub fn resolutions_share_history(gpu: &Gpu) -> Result<(), String> {
+    const RUNS: u32 = 3;
+    let mut rig = Rig::new(gpu)?;
+    let sizes = [camera(48, 36), camera(64, 48)];
+    let mut truths = Vec::new();
+    for camera in sizes {
+        rig.trace(&[camera], 4096)?;
+        truths.push(rig.tracer.read_image(0).map_err(text)?);
+    }
+    rig.room = Some([64, 48]);
+    for to in [1, 0] {
+        let mut errors = [0.0; 2];
+        for (error, frames) in errors.iter_mut().zip([0, 12]) {
+            for _ in 0..RUNS {
+                let mut denoiser = rig.denoiser(DenoiseMode::Holovol)?;
+                for _ in 0..frames {
+                    rig.trace(&[sizes[1 - to]], 2)?;
+                    rig.denoise(&mut denoiser, &[0])?;
+                }
+                rig.trace(&[sizes[to]], 2)?;
+                let images = rig.denoise(&mut denoiser, &[0])?;
+                all_finite(&images)?;
+                let pairs = images[0].iter().zip(&truths[to]);
+                let rgb = pairs.flat_map(|(a, b)| (0..3).map(move |c| a[c] - b[c]));
+                *error += rms(rgb.map(f64::from)).powi(2) / f64::from(RUNS);
+            }
+        }
+        let [fresh, kept] = errors;
+        eprintln!("to size {to}: squared error {fresh:.2e} fresh, {kept:.2e} with history");
+        if kept > 0.8 * fresh {
+            return Err(format!(
+                "to size {to}: {kept} with history, {fresh} without"
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Cuts, teleports, other sizes, one eye or two, and media that vanish: always finite.
 pub fn upheavals_leave_no_trace(gpu: &Gpu) -> Result<(), String> {
     for mode in modes() {
         let mut rig = Rig::new(gpu)?;

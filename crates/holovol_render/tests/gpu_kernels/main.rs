@@ -84,6 +84,10 @@ const CHECKS: &[(&str, Check)] = &[
     ),
     ("denoiser_keeps_the_mean", denoise::the_mean_is_kept),
     (
+        "denoiser_keeps_history_at_other_resolutions",
+        denoise::resolutions_share_history,
+    ),
+    (
         "denoiser_refuses_wrong_eyes",
         denoise::wrong_eyes_are_refused,
     ),

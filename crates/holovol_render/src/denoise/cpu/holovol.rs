@@ -65,9 +65,17 @@ impl Memory {
         top.lerp(value(0, 1).lerp(value(1, 1), weight.x), weight.y)
     }
 
-    /// Keys, state and counts all begin at `first`.
-    fn fetch(&self, key: Key, place: Vec3, eye: usize, first: usize, strictness: f32) -> Fetched {
-        let size = self.size(eye).as_vec2();
+    /// Of an image: pixels across and down, and where its first is in keys, state and counts.
+    fn fetch(
+        &self,
+        key: Key,
+        place: Vec3,
+        image: [usize; 3],
+        pixel_size: f32,
+        strictness: f32,
+    ) -> Fetched {
+        let [width, height, first] = image;
+        let size = Vec2::new(width as f32, height as f32);
         let here = key.at(place.z, key.normal);
         let position = place.truncate() / place.z - 0.5;
         let is_inside = position.cmpgt(Vec2::NEG_ONE).all() && position.cmplt(size).all();
@@ -83,13 +91,13 @@ impl Memory {
             if at.cmplt(IVec2::ZERO).any() || at.as_vec2().cmpge(size).any() {
                 continue;
             }
-            let pixel = first + self.pixel(eye, at.x as u32, at.y as u32);
+            let pixel = first + at.x as usize + width * at.y as usize;
             let there = self.key(pixel);
             if there.albedo <= 0.0 || there.frames <= 0.0 {
                 continue;
             }
             let side = |offset: i32, w: f32| if offset == 1 { w } else { 1.0 - w };
-            let distance = self.guide_distance(here, there, self.pixel_size(eye));
+            let distance = self.guide_distance(here, there, pixel_size);
             let w =
                 side(offset.x, weight.x) * side(offset.y, weight.y) / (1.0 + strictness * distance);
             total += w;
@@ -129,7 +137,8 @@ impl Memory {
             let there = project(&self.eye(eye).previous, here);
             let turned = key.at(key.depth, self.turned(eye, key.normal));
             let strictness = self.uniform.across[0];
-            before = self.fetch(turned, there, eye, self.before(), strictness);
+            let last = self.image_before(eye, self.before());
+            before = self.fetch(turned, there, last, self.pixel_size(eye), strictness);
         }
         let [most, factor, change, _] = self.eye(eye).history;
         before.frames = (before.frames * factor).min(most);
@@ -199,6 +208,7 @@ impl Memory {
 
     fn judge_tile(&mut self, eye: usize, place: UVec2) {
         let [correction_noise, shortening_factor, _, memory_factor] = self.uniform.tiles;
+        let memory_factor = memory_factor * self.eye(eye).history[3];
         let last = self.grid(eye).as_ivec2() - 1;
         let (mut difference, mut old, mut memory) = (Vec4::ZERO, Vec4::ZERO, Vec4::ZERO);
         let mut own = Vec4::ZERO;
@@ -287,7 +297,8 @@ impl Memory {
                 let here = m.position(eye, position, key.depth);
                 let there = project(&m.eye(eye).other, here);
                 let [_, strictness, eye_bias, _] = m.uniform.across;
-                let other = m.fetch(key, there, 1 - eye, m.now(), strictness);
+                let image = m.image(1 - eye, m.now());
+                let other = m.fetch(key, there, image, m.pixel_size(1 - eye), strictness);
                 if other.frames > 0.0 {
                     let noise = m.tile_at(eye, position, 1).y;
                     let worth = other.frames / (1.0 + other.frames * eye_bias / noise);

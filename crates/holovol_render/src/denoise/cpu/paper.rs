@@ -20,14 +20,14 @@ impl Memory {
         (-exponent).exp()
     }
 
-    /// The pixel that a place falls into.
-    fn pixel_at(&self, eye: usize, place: Vec3) -> Option<usize> {
-        let size = self.size(eye);
+    /// The pixel of an image that a place falls into.
+    fn pixel_at(&self, [width, height, first]: [usize; 3], place: Vec3) -> Option<usize> {
+        let size = UVec2::new(width as u32, height as u32);
         let at = place.truncate() / place.z;
         let is_inside =
             place.z > 0.0 && at.cmpge(glam::Vec2::ZERO).all() && at.cmplt(size.as_vec2()).all();
         let p = at.as_uvec2().min(size - UVec2::ONE);
-        is_inside.then(|| self.pixel(eye, p.x, p.y))
+        is_inside.then(|| first + p.x as usize + width * p.y as usize)
     }
 
     fn first_step_at(&self, pixel: usize) -> usize {
@@ -69,7 +69,7 @@ impl Memory {
             let here = m.position(eye, position, key.depth);
             let place = project(&m.eye(eye).other, here);
             if key.albedo > 0.0
-                && let Some(at) = m.pixel_at(1 - eye, place)
+                && let Some(at) = m.pixel_at(m.image(1 - eye, 0), place)
             {
                 let keys = [key.at(place.z, key.normal), m.key(m.now() + at)];
                 let zeta = m.bilateral(keys, [albedo, m.albedo(at)], pixel_size);
@@ -80,7 +80,7 @@ impl Memory {
             let place = project(&m.eye(eye).previous, here);
             if has_history
                 && key.albedo > 0.0
-                && let Some(at) = m.pixel_at(eye, place)
+                && let Some(at) = m.pixel_at(m.image_before(eye, 0), place)
             {
                 let before = m.key(m.before() + at);
                 let keys = [key.at(place.z, m.turned(eye, key.normal)), before];
@@ -101,7 +101,7 @@ impl Memory {
             let here = m.position(eye, position, key.depth);
             let place = project(&m.eye(eye).other, here);
             if key.albedo > 0.0
-                && let Some(at) = m.pixel_at(1 - eye, place)
+                && let Some(at) = m.pixel_at(m.image(1 - eye, 0), place)
             {
                 let difference = (m.albedo(pixel) - m.albedo(at)).length();
                 let lambda = ALPHA * (BETA - (-difference).exp());

@@ -30,11 +30,11 @@ fn pixel_of(group: vec3<u32>, local: u32) -> vec2<u32> {
     return TILE * group.xy + vec2<u32>(local % TILE, local / TILE);
 }
 
-// Bilinear over four pixels whose guides fit; their weight is that of the history.
-fn fetch(key: Key, position: vec3<f32>, eye: u32, keys_first: u32, state_first: u32, counts_first: u32, strictness: f32) -> Fetched {
+// Bilinear over four pixels whose guides fit; their weight is that of the history. image: pixels
+// across and down, and where the first one is in keys, state and counts.
+fn fetch(key: Key, position: vec3<f32>, image: vec3<u32>, pixel_size: f32, strictness: f32) -> Fetched {
     var found = Fetched(vec4<f32>(0.0), 0.0, 0.0, 0.0);
-    let size = vec2<i32>(denoise.eyes[eye].image.xy);
-    let pixel_size = denoise.eyes[eye].turn_x.w;
+    let size = vec2<i32>(image.xy);
     var here = key;
     here.depth = position.z;
     let place = position.xy / position.z - 0.5;
@@ -50,16 +50,16 @@ fn fetch(key: Key, position: vec3<f32>, eye: u32, keys_first: u32, state_first: 
         if any(at < vec2<i32>(0)) || any(at >= size) {
             continue;
         }
-        let pixel = denoise.eyes[eye].image.w + u32(at.x + size.x * at.y);
-        let there = unpack_key(keys[keys_first + pixel]);
+        let pixel = image.z + u32(at.x + size.x * at.y);
+        let there = unpack_key(keys[pixel]);
         if there.albedo <= 0.0 || there.frames <= 0.0 {
             continue;
         }
         let side = select(1.0 - weight, weight, offset == vec2<i32>(1));
         let w = side.x * side.y / (1.0 + strictness * guide_distance(here, there, pixel_size));
-        let count = counts[counts_first + pixel];
+        let count = counts[pixel];
         total += w;
-        found.light += w * state[state_first + pixel];
+        found.light += w * state[pixel];
         found.frames += w * count.x;
         found.filtered += w * count.y;
     }
@@ -158,7 +158,8 @@ fn history_of(eye: u32, position: vec2<u32>, pixel: u32) -> Fetched {
                 dot(denoise.eyes[eye].turn_y.xyz, key.normal),
                 dot(denoise.eyes[eye].turn_z.xyz, key.normal),
             );
-            before = fetch(turned, there, eye, half_before(), half_before(), half_before(), denoise.across.x);
+            let last = denoise.eyes[eye].place.yzw + vec3<u32>(0u, 0u, half_before());
+            before = fetch(turned, there, last, denoise.eyes[eye].turn_x.w, denoise.across.x);
         }
     }
     before.frames = min(before.frames * denoise.eyes[eye].history.y, denoise.eyes[eye].history.x);
@@ -196,7 +197,7 @@ fn judge(@builtin(global_invocation_id) invocation: vec3<u32>) {
     let place = vec2<i32>(i32(invocation.x % across), i32(invocation.x / across));
     let last = vec2<i32>(i32(across), i32(down)) - 1;
     let first = denoise.eyes[eye].frame.z;
-    let memory_factor = denoise.tiles.w;
+    let memory_factor = denoise.tiles.w * denoise.eyes[eye].history.w;
     var difference = vec4<f32>(0.0);
     var old = vec4<f32>(0.0);
     var variance = 0.0;
@@ -295,7 +296,8 @@ fn stereo(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
             dot(denoise.eyes[eye].other_y, here),
             dot(denoise.eyes[eye].other_depth, here),
         );
-        let other = fetch(key, there, 1u - eye, half_now(), half_now(), half_now(), denoise.across.y);
+        let image = denoise.eyes[1u - eye].image.xyw + vec3<u32>(0u, 0u, half_now());
+        let other = fetch(key, there, image, denoise.eyes[1u - eye].turn_x.w, denoise.across.y);
         if other.frames > 0.0 {
             // However many frames it has, it may be off by its bias.
             let noise = tile_at(eye, position, 1u).y;

@@ -36,9 +36,9 @@ fn sample_of(eye: u32, pixel: u32) -> vec4<f32> {
     return vec4<f32>(0.0, 0.0, 0.0, -1.0);
 }
 
-// The pixel that a place falls into, or -1.
-fn pixel_at(eye: u32, place: vec3<f32>) -> i32 {
-    let size = vec2<i32>(denoise.eyes[eye].image.xy);
+// The pixel of an image (pixels across and down, first pixel) that a place falls into, or -1.
+fn pixel_at(image: vec3<u32>, place: vec3<f32>) -> i32 {
+    let size = vec2<i32>(image.xy);
     if !(place.z > 0.0) {
         return -1;
     }
@@ -47,7 +47,7 @@ fn pixel_at(eye: u32, place: vec3<f32>) -> i32 {
         return -1;
     }
     let p = min(vec2<i32>(at), size - 1);
-    return i32(denoise.eyes[eye].image.w) + p.x + size.x * p.y;
+    return i32(image.z) + p.x + size.x * p.y;
 }
 
 fn position_of(eye: u32, pixel: vec2<u32>, depth: f32) -> vec4<f32> {
@@ -118,7 +118,7 @@ fn first_step(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation
     let here = position_of(eye, position, key.depth);
     if key.albedo > 0.0 && denoise.counts.x == 2u {
         let place = other_place(eye, here);
-        let there = pixel_at(1u - eye, place);
+        let there = pixel_at(denoise.eyes[1u - eye].image.xyw, place);
         if there >= 0 {
             var expected = key;
             expected.depth = place.z;
@@ -134,7 +134,7 @@ fn first_step(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation
             dot(denoise.eyes[eye].previous_y, here),
             dot(denoise.eyes[eye].previous_depth, here),
         );
-        let there = pixel_at(eye, place);
+        let there = pixel_at(denoise.eyes[eye].place.yzw, place);
         if there >= 0 {
             var expected = key;
             expected.depth = place.z;
@@ -169,7 +169,7 @@ fn second_step(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     var value = state[first_step_at(pixel)];
     if key.albedo > 0.0 && denoise.counts.x == 2u {
         let place = other_place(eye, position_of(eye, position, key.depth));
-        let there = pixel_at(1u - eye, place);
+        let there = pixel_at(denoise.eyes[1u - eye].image.xyw, place);
         if there >= 0 {
             let at = u32(there);
             let difference = state[albedo_at(pixel)].rgb - state[albedo_at(at)].rgb;
