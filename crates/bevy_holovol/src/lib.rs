@@ -65,7 +65,7 @@ pub use holovol_render::{Counters, MAX_VIEWS};
 pub use interaction::{Graspable, InteractionPlugin};
 pub use render::{
     VolumeRenderMode, VolumeRenderPlugin, VolumeRenderSettings, VolumeRenderSystems,
-    VolumeStatistics,
+    VolumeSampling, VolumeStatistics,
 };
 pub use scene::SceneParts;
 pub use transfer_function::{TransferFunctionAsset, TransferFunctionPlugin, VolumeMaterial3d};

@@ -11,7 +11,8 @@ use holovol_render::{DepthLayers, View, ViewFrame};
 use super::extract::ExtractedScene;
 use super::node::{DepthTarget, DepthTargetShape};
 use super::prepare::{TracerKey, VolumeGpu, viewport_size};
-use super::{VolumeRenderMode, VolumeStatistics};
+use super::sampling::SamplingMaps;
+use super::{VolumeRenderMode, VolumeSampling, VolumeStatistics};
 
 /// What one view wants of one volume.
 pub(super) struct PlannedView {
@@ -33,6 +34,7 @@ type PlannedCamera<'a> = (
     &'a ExtractedView,
     &'a Msaa,
     Option<&'a ViewPrepassTextures>,
+    Option<&'a VolumeSampling>,
 );
 
 /// Decides what each view wants, and which need depth.
@@ -40,6 +42,7 @@ pub(super) fn plan_frame(
     mut gpu: ResMut<VolumeGpu>,
     scene: Res<ExtractedScene>,
     cameras: Query<PlannedCamera, With<ExtractedCamera>>,
+    mut sampling_maps: ResMut<SamplingMaps>,
     statistics: Res<VolumeStatistics>,
 ) {
     let Some(inner) = &mut gpu.0 else {
@@ -49,7 +52,7 @@ pub(super) fn plan_frame(
     inner.depth_plan.clear();
     let mut layers_used = 0;
     for wanted in &scene.views {
-        let Some((entity, camera, view, msaa, prepass)) =
+        let Some((entity, camera, view, msaa, prepass, sampling)) =
             cameras.iter().find(|camera| *camera.1 == wanted.entity)
         else {
             continue;
@@ -73,6 +76,7 @@ pub(super) fn plan_frame(
                 size: viewport,
             }
         });
+        let shares = sampling_maps.get(*camera, sampling, size);
         let mut wants_depth = false;
         for &(volume, overlap) in &wanted.volumes {
             let key = (volume, settings.max_scatters);
@@ -92,6 +96,11 @@ pub(super) fn plan_frame(
                 restart: settings.reset || meshes_changed || is_fresh,
                 mesh_depth: layers.filter(|_| overlap.is_some()),
             };
+            if let Some(tracer) = tracing.tracer_mut()
+                && let Err(error) = tracer.set_shares(slot, shares.as_ref())
+            {
+                error_once!("{error}");
+            }
             let wants = tracing.tracer().is_some_and(|tracer| tracer.wants(&frame));
             wants_depth |= wants && frame.mesh_depth.is_some();
             inner.plan.push(PlannedView {
@@ -117,6 +126,7 @@ pub(super) fn plan_frame(
             }
         }
     }
+    sampling_maps.end_frame();
     let plan = &inner.depth_plan;
     inner
         .depth_targets
