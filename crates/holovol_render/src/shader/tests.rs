@@ -318,7 +318,10 @@ fn to_msl(module: &naga::Module, info: &ModuleInfo, entry: &str) -> Result<(), S
 fn bindings_are_dense_and_within_webgpus_limits() {
     let limits = wgpu::Limits::default();
     let kernels = [
-        (&TRACE, with(&[("GUIDES", 1), ("SAMPLE_SHARES", 1)])),
+        (
+            &TRACE,
+            with(&[("GUIDES", 1), ("MESH_DEPTH", 1), ("SAMPLE_SHARES", 1)]),
+        ),
         (&MAJORANT, vec![("CELL_SIZE", 8), ("SLICES", 0)]),
     ];
     for (file, defs) in kernels {
