@@ -7,8 +7,8 @@ use bevy_holovol::xr::{CapturedFrame, HeadsetBlend, MixedRealitySettings, RawVie
 use glam::{DMat4, DVec3};
 use holovol_light::EnvironmentMap;
 use holovol_render::{
-    FrameTracer, Gpu, GpuEnvironment, GpuVolume, Interpolation, Kernels, Medium, TraceOptions,
-    View, ViewFrame,
+    FrameTracer, Gpu, GpuEnvironment, GpuVolume, Interpolation, Kernels, Medium, SampleShares,
+    TraceOptions, View, ViewFrame,
 };
 use holovol_volume::{TransferFunction, Volume};
 
@@ -64,6 +64,25 @@ pub fn offline(
     place: Transform,
     samples: u32,
 ) -> [Vec<[f32; 4]>; 2] {
+    offline_with(
+        frame,
+        volume,
+        matter,
+        place,
+        [samples.min(32), samples],
+        None,
+    )
+}
+
+/// The same, so many samples at a time and in all, of which blocks may get shares.
+pub fn offline_with(
+    frame: &CapturedFrame,
+    volume: &Volume,
+    matter: &TransferFunction,
+    place: Transform,
+    [at_once, samples]: [u32; 2],
+    shares: Option<&Arc<SampleShares>>,
+) -> [Vec<[f32; 4]>; 2] {
     let gpu = Gpu::new(None).expect("an adapter");
     let world_from_local = DMat4::from_scale_rotation_translation(
         place.scale.as_dvec3(),
@@ -95,12 +114,15 @@ pub fn offline(
     .expect("a tracer");
     tracer.wait_for_kernels();
     tracer.set_views(&[frame.size; 2]).expect("room");
+    for slot in 0..2 {
+        tracer.set_shares(slot, shares).expect("room");
+    }
     let frames = [0, 1].map(|slot| {
         let view = &frame.views[slot];
         ViewFrame {
             slot,
             view: View::from_projection(world_from_eye(view), projection(view), frame.size),
-            samples: samples.min(32),
+            samples: at_once,
             max_samples: samples,
             restart: false,
             mesh_depth: None,
