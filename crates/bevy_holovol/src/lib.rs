@@ -66,7 +66,7 @@ pub use holovol_render::{Counters, MAX_VIEWS};
 pub use interaction::{Graspable, InteractionPlugin};
 pub use render::{
     RightEyeOf, VolumeDenoiser, VolumeRenderMode, VolumeRenderPlugin, VolumeRenderSettings,
-    VolumeRenderSystems, VolumeStatistics,
+    VolumeRenderSystems, VolumeSampling, VolumeStatistics,
 };
 pub use scene::SceneParts;
 pub use transfer_function::{TransferFunctionAsset, TransferFunctionPlugin, VolumeMaterial3d};

@@ -36,6 +36,10 @@ pub(crate) fn texture_2d_uint() -> BindingType {
     sampled(TextureViewDimension::D2, TextureSampleType::Uint)
 }
 
+pub(crate) fn texture_2d_array_uint() -> BindingType {
+    sampled(TextureViewDimension::D2Array, TextureSampleType::Uint)
+}
+
 fn texture(view_dimension: TextureViewDimension, filterable: bool) -> BindingType {
     sampled(view_dimension, TextureSampleType::Float { filterable })
 }

@@ -31,6 +31,7 @@ pub mod shared;
 pub mod testing;
 mod trace;
 mod variants;
+mod view_depth;
 mod volume;
 
 pub use composite::{CompositePlace, CompositeTarget, Compositor};
@@ -40,11 +41,14 @@ pub use denoise::{
 };
 pub use depth::{DepthLayers, DepthSource, MeshDepth};
 pub use error::RenderError;
-pub use frame::{FrameImage, FrameTracer, FrameWork, Kernels, ViewFrame};
+pub use frame::{
+    FrameImage, FrameTracer, FrameWork, Kernels, SHARE_BLOCK, SampleShares, ViewFrame,
+};
 pub use gpu::{Gpu, wanted_features, wanted_limits};
 pub use majorant::MajorantGrid;
 pub use trace::{
     Counters, GpuEnvironment, Guide, Interpolation, MAX_VIEWS, Medium, TraceOptions, Tracer, View,
 };
+pub use view_depth::{LEAST_OPACITY, ViewDepth, ViewDepthTarget};
 pub use volume::GpuVolume;
 pub use wgpu;

@@ -10,20 +10,33 @@
 //!
 //! A hand whose tracking stops holds what it has for [`HOLD`] s.
 
+mod cutting;
 mod hands;
+mod menu;
 mod plugin;
+mod pointer;
+mod recording;
 mod shape;
+mod surface;
 
 #[cfg(test)]
 mod tests;
 
 use bevy::math::{Isometry3d, Quat, Vec3};
 
+pub use cutting::HandPlane;
 pub use hands::{
     Hand, Hands, INDEX_KNUCKLE, INDEX_TIP, JOINT_COUNT, LITTLE_KNUCKLE, THUMB_TIP, WRIST,
 };
-pub use plugin::{CurrentInteraction, Graspable, InteractionPlugin, InteractionSystems};
+pub use menu::{HandMenu, MENU_BUTTONS, MENU_HALF_SIZE};
+pub use plugin::{
+    CurrentInteraction, CurrentMenu, Graspable, InteractionPlugin, InteractionSystems, MenuPressed,
+    TouchPanel, Viewer,
+};
+pub use pointer::{PointerHand, PointerHandPlugin};
+pub use recording::{HandData, HandFrame, HandRecorder, HandRecording, Joints, RecordingError};
 pub use shape::{Handle, Placement};
+pub use surface::{Surface, SurfaceTouch, Touching};
 
 /// m around a box within which a pinch takes it.
 pub const REACH: f32 = 0.05;
@@ -38,6 +51,35 @@ const TAKE: f32 = 0.8;
 const LET_GO: f32 = 0.5;
 /// m between hands, below which they say nothing about scale and rotation.
 const LEAST_SPAN: f32 = 0.02;
+
+/// Follows whether a hand is squeezed: what is between the thresholds changes nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Squeeze {
+    is_squeezed: bool,
+    has_begun: bool,
+}
+
+impl Squeeze {
+    /// Takes in a frame; returns whether it is squeezed.
+    fn update(&mut self, squeeze: f32) -> bool {
+        let limit = if self.is_squeezed { LET_GO } else { TAKE };
+        let is_squeezed = squeeze.is_finite() && squeeze >= limit;
+        self.has_begun = is_squeezed && !self.is_squeezed;
+        self.is_squeezed = is_squeezed;
+        is_squeezed
+    }
+
+    /// Whether it began with the last frame.
+    fn has_begun(&self) -> bool {
+        self.has_begun
+    }
+
+    /// Takes in a frame; returns whether it begins with it.
+    fn begins(&mut self, squeeze: f32) -> bool {
+        self.update(squeeze);
+        self.has_begun
+    }
+}
 
 /// A box that can be taken in hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -187,7 +229,7 @@ impl Interaction {
             self.held[index] = self.take(hand, things);
         }
         // Squeezing first and touching then is no taking.
-        if hand.grip.is_some() {
+        if hand.grip.is_some() || hand.aim.is_some() {
             self.was_squeezed[index] = is_squeezed;
         }
     }

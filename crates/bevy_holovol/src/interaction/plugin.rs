@@ -1,15 +1,20 @@
 //! From hands to transforms.
 
 use bevy::camera::primitives::Aabb;
+use bevy::math::Isometry3d;
 use bevy::prelude::*;
 
-use super::{Grabbable, Hands, Interaction, Placement};
+use super::{
+    Grabbable, Hand, HandMenu, HandPlane, Hands, Interaction, Placement, Surface, SurfaceTouch,
+    Touching, cutting,
+};
 
-/// Lets hands take what is [`Graspable`]; whoever knows of hands sets [`Hands`] before
+/// Lets hands take what is [`Graspable`], press [`TouchPanel`]s and the menu, and hold
+/// [`HandPlane`]s; whoever knows of hands sets [`Hands`], and [`Viewer`], before
 /// [`InteractionSystems`].
 pub struct InteractionPlugin;
 
-/// `PreUpdate`: graspable things follow the hands.
+/// `PreUpdate`: things follow the hands, panels are pressed.
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct InteractionSystems;
 
@@ -37,18 +42,135 @@ impl Default for Graspable {
 #[derive(Resource, Default, Debug, Deref, DerefMut)]
 pub struct CurrentInteraction(pub Interaction);
 
+/// Where the user looks from: between the eyes, −z ahead; in the world's coordinates.
+#[derive(Resource, Clone, Copy, Debug, Default, PartialEq)]
+pub struct Viewer(pub Option<Isometry3d>);
+
+/// The menu at the hand; not there before somebody inserts it.
+#[derive(Resource, Default, Debug, Deref)]
+pub struct CurrentMenu(HandMenu);
+
+/// A button of the [`CurrentMenu`] is pressed: its number from the top.
+#[derive(Message, Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MenuPressed(pub usize);
+
+/// A rectangle that hands press with a fingertip, or with a ray and a pinch: around the entity's
+/// origin, +x to the right and +y up as seen by who faces it, from its +z. Its scale counts for
+/// nothing.
+#[derive(Component, Clone, Copy, Debug, Default)]
+#[require(Transform)]
+pub struct TouchPanel {
+    /// m to the right and the upper edge.
+    pub half_size: Vec2,
+    touching: Touching,
+    touch: SurfaceTouch,
+}
+
+impl TouchPanel {
+    /// Reaches so far, m, to each side.
+    pub fn new(half_size: Vec2) -> Self {
+        Self {
+            half_size,
+            ..default()
+        }
+    }
+
+    /// What hands do to it in this frame.
+    pub fn touch(&self) -> SurfaceTouch {
+        self.touch
+    }
+}
+
+/// Hands as far as nothing else has them.
+#[derive(Resource, Default)]
+struct FreeHands(Hands);
+
 impl Plugin for InteractionPlugin {
     fn build(&self, app: &mut App) {
         app.register_type::<Graspable>()
             .init_resource::<Hands>()
+            .init_resource::<Viewer>()
+            .init_resource::<FreeHands>()
             .init_resource::<CurrentInteraction>()
-            .add_systems(PreUpdate, follow_hands.in_set(InteractionSystems));
+            .add_message::<MenuPressed>()
+            .add_systems(
+                PreUpdate,
+                (press, cutting::follow_hands, follow_hands)
+                    .chain()
+                    .in_set(InteractionSystems),
+            );
     }
 }
 
-fn follow_hands(
+/// Menu and panels first: a hand at one of them takes nothing behind it.
+#[expect(
+    clippy::too_many_arguments,
+    reason = "all that a hand may have to do with"
+)]
+fn press(
     time: Res<Time>,
     hands: Res<Hands>,
+    viewer: Res<Viewer>,
+    interaction: Res<CurrentInteraction>,
+    menu: Option<ResMut<CurrentMenu>>,
+    mut panels: Query<(&mut TouchPanel, &GlobalTransform)>,
+    planes: Query<&HandPlane>,
+    mut free: ResMut<FreeHands>,
+    mut pressed: MessageWriter<MenuPressed>,
+) {
+    let mut busy = [0, 1].map(|hand| interaction.held(hand).is_some());
+    let mut taken = [false; 2];
+    for plane in &planes {
+        busy[plane.hand()] = true;
+        taken[plane.hand()] = true;
+    }
+    if let Some(mut menu) = menu {
+        let dt = time.delta_secs();
+        let button = menu
+            .bypass_change_detection()
+            .0
+            .update(&hands, busy, viewer.0, dt);
+        pressed.write_batch(button.map(MenuPressed));
+        for hand in 0..2 {
+            let has = menu.has(hand);
+            busy[hand] |= has;
+            taken[hand] |= has;
+        }
+    }
+    for (mut panel, transform) in &mut panels {
+        let surface = Surface {
+            pose: transform.to_isometry(),
+            half_size: panel.half_size,
+        };
+        let panel = panel.bypass_change_detection();
+        panel.touch = panel.touching.update(&hands, busy, &surface);
+        if let Some(hand) = panel.touch.hand {
+            busy[hand] = true;
+            taken[hand] = true;
+        }
+    }
+    free.0 = *hands;
+    for (hand, taken) in free.0.0.iter_mut().zip(taken) {
+        if taken {
+            // Still squeezed or not, so that letting it go takes nothing.
+            *hand = Hand {
+                aim: None,
+                grip: hand
+                    .grip
+                    .or(hand.aim)
+                    .map(|_| Isometry3d::from_translation(AWAY)),
+                ..*hand
+            };
+        }
+    }
+}
+
+/// Where hands are that take nothing.
+const AWAY: Vec3 = Vec3::new(0.0, -1e6, 0.0);
+
+fn follow_hands(
+    time: Res<Time>,
+    hands: Res<FreeHands>,
     mut interaction: ResMut<CurrentInteraction>,
     mut graspables: Query<(Entity, &Graspable, &Aabb, &mut Transform), Without<ChildOf>>,
     mut former: Local<Vec<Entity>>,
@@ -77,7 +199,7 @@ fn follow_hands(
     }
     interaction
         .bypass_change_detection()
-        .update(&hands, &mut things, time.delta_secs());
+        .update(&hands.0, &mut things, time.delta_secs());
     for (entity, thing) in former.iter().zip(things.iter()) {
         let Ok((_, _, aabb, mut transform)) = graspables.get_mut(*entity) else {
             continue;
@@ -116,6 +238,53 @@ mod tests {
             ..default()
         };
         Hands([Hand::default(), hand])
+    }
+
+    #[test]
+    fn a_hand_at_a_panel_takes_nothing_behind_it() {
+        let mut app = App::new();
+        app.add_plugins((MinimalPlugins, InteractionPlugin));
+        let aabb = Aabb {
+            half_extents: Vec3::splat(0.1).into(),
+            ..default()
+        };
+        let behind = Transform::from_xyz(0.0, 0.0, -2.0);
+        let thing = app
+            .world_mut()
+            .spawn((Graspable::default(), aabb, behind))
+            .id();
+        let panel = app
+            .world_mut()
+            .spawn((
+                TouchPanel::new(Vec2::splat(0.2)),
+                GlobalTransform::from_xyz(0.0, 0.0, -1.0),
+            ))
+            .id();
+        let point = |app: &mut App, yaw: f32, squeeze: f32| {
+            let aim = Isometry3d::from_rotation(Quat::from_rotation_y(yaw));
+            let hand = Hand {
+                grip: Some(Isometry3d::IDENTITY),
+                aim: Some(aim),
+                squeeze,
+                ..default()
+            };
+            app.insert_resource(Hands([Hand::default(), hand]));
+            app.update();
+        };
+        for (yaw, squeeze) in [(0.0, 0.0), (0.0, 1.0), (0.05, 1.0)] {
+            point(&mut app, yaw, squeeze);
+        }
+        let touch = app.world().get::<TouchPanel>(panel).expect("it").touch();
+        assert!(touch.is_pressed && touch.place.x < 0.5, "{touch:?}");
+        assert_eq!(app.world().resource::<CurrentInteraction>().held(1), None);
+        point(&mut app, 0.0, 0.0);
+        app.world_mut().despawn(panel);
+        for squeeze in [0.0, 1.0] {
+            point(&mut app, 0.0, squeeze);
+        }
+        let held = app.world().resource::<CurrentInteraction>().held(1);
+        assert_eq!(held, Some(0), "without the panel it is taken");
+        assert_eq!(*app.world().get::<Transform>(thing).expect("it"), behind);
     }
 
     #[test]

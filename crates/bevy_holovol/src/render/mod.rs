@@ -6,7 +6,10 @@ mod mesh_overlap;
 mod node;
 mod plan;
 mod prepare;
+mod sampling;
 mod settings;
+#[cfg(feature = "xr")]
+pub(crate) mod view_depth;
 
 use bevy::camera::visibility::VisibilitySystems;
 use bevy::core_pipeline::core_3d::{main_opaque_pass_3d, main_transparent_pass_3d};
@@ -16,9 +19,13 @@ use bevy::pbr::{
     early_prepass_build_indirect_parameters, unpack_bins,
 };
 use bevy::prelude::*;
+use bevy::render::extract_component::ExtractComponentPlugin;
 use bevy::render::renderer::{RenderGraph, RenderGraphSystems};
 use bevy::render::{ExtractSchedule, GpuResourceAppExt, Render, RenderApp, RenderSystems};
 
+#[cfg(feature = "xr")]
+pub(crate) use prepare::VolumeGpu;
+pub use sampling::VolumeSampling;
 pub use settings::{
     RightEyeOf, Statistics, VolumeDenoiser, VolumeRenderMode, VolumeRenderSettings,
     VolumeStatistics,
@@ -45,6 +52,7 @@ impl Plugin for VolumeRenderPlugin {
         app.register_type::<VolumeRenderSettings>()
             .register_type::<RightEyeOf>()
             .insert_resource(statistics.clone())
+            .add_plugins(ExtractComponentPlugin::<VolumeSampling>::default())
             .init_resource::<mesh_overlap::MeshOverlaps>()
             .init_resource::<settings::PendingResets>()
             .add_systems(First, settings::clear_resets)
@@ -61,6 +69,7 @@ impl Plugin for VolumeRenderPlugin {
         app.sub_app_mut(RenderApp)
             .insert_resource(statistics)
             .init_resource::<extract::ExtractedScene>()
+            .init_resource::<sampling::SamplingMaps>()
             .init_schedule(node::VolumeDepth)
             .add_systems(ExtractSchedule, extract::extract_volumes)
             .add_systems(

@@ -12,7 +12,8 @@ use super::denoise::{self, WantedDenoising};
 use super::extract::ExtractedScene;
 use super::node::{DepthTarget, DepthTargetShape};
 use super::prepare::{TracerKey, VolumeGpu, viewport_size};
-use super::{VolumeRenderMode, VolumeStatistics};
+use super::sampling::SamplingMaps;
+use super::{VolumeRenderMode, VolumeSampling, VolumeStatistics};
 
 /// What one view wants of one volume.
 pub(super) struct PlannedView {
@@ -44,6 +45,7 @@ type PlannedCamera<'a> = (
     &'a ExtractedView,
     &'a Msaa,
     Option<&'a ViewPrepassTextures>,
+    Option<&'a VolumeSampling>,
 );
 
 /// Decides what each view wants, and which need depth.
@@ -51,6 +53,7 @@ pub(super) fn plan_frame(
     mut gpu: ResMut<VolumeGpu>,
     scene: Res<ExtractedScene>,
     cameras: Query<PlannedCamera>,
+    mut sampling_maps: ResMut<SamplingMaps>,
     statistics: Res<VolumeStatistics>,
 ) {
     let Some(inner) = &mut gpu.0 else {
@@ -61,7 +64,7 @@ pub(super) fn plan_frame(
     let mut layers_used = 0;
     let mut mesh_views = Vec::new();
     for wanted in &scene.views {
-        let Some((entity, camera, extracted, view, msaa, prepass)) =
+        let Some((entity, camera, extracted, view, msaa, prepass, sampling)) =
             cameras.iter().find(|camera| *camera.1 == wanted.entity)
         else {
             continue;
@@ -98,6 +101,7 @@ pub(super) fn plan_frame(
                 },
             });
         }
+        let shares = sampling_maps.get(*camera, sampling, size);
         for &(volume, overlap) in &wanted.volumes {
             let key = (volume, settings.max_scatters);
             let Some(tracing) = inner.tracings.get_mut(&key) else {
@@ -109,6 +113,11 @@ pub(super) fn plan_frame(
             let meshes_changed = std::mem::replace(&mut tracing.overlaps[slot], overlap) != overlap;
             let is_fresh = settings.mode == VolumeRenderMode::Fresh;
             let is_denoised = settings.mode == VolumeRenderMode::Denoised;
+            if let Some((tracer, _)) = tracing.tracer_mut()
+                && let Err(error) = tracer.set_shares(slot, shares.as_ref())
+            {
+                error_once!("{error}");
+            }
             inner.plan.push(PlannedView {
                 key,
                 camera: *camera,
@@ -150,6 +159,7 @@ pub(super) fn plan_frame(
             Err(error) => error_once!("{error}"),
         }
     }
+    sampling_maps.end_frame();
     let plan = &inner.depth_plan;
     inner
         .depth_targets

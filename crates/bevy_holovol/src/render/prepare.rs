@@ -158,9 +158,9 @@ impl Tracing {
 
 /// Everything of ours on the device; made anew when that is.
 #[derive(Resource)]
-pub(super) struct VolumeGpu(pub(super) Option<Inner>);
+pub(crate) struct VolumeGpu(pub(super) Option<Inner>);
 
-pub(super) struct Inner {
+pub(crate) struct Inner {
     pub(super) gpu: Gpu,
     kernels: Arc<Kernels>,
     pub(super) compositor: Compositor,

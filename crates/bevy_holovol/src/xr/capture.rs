@@ -6,6 +6,7 @@ use bevy::prelude::*;
 use bevy::render::render_resource::TextureFormat;
 use holovol_render::wgpu;
 
+use super::graphics::{EyeTargets, SubmittedDepth};
 use super::pose::EyeView;
 
 /// Asks for the pictures of a frame, exactly as the headset gets them. Costs that frame a wait for
@@ -28,6 +29,9 @@ pub struct CapturedFrame {
     pub format: TextureFormat,
     /// Left and right, rows from the top, without padding.
     pub pixels: [Vec<u8>; 2],
+    /// Left and right, rows from the top: m along the eye's axis to what the compositor takes each
+    /// pixel for, infinite where nothing is. `None` where the headset gets no depth.
+    pub depths: Option<[Vec<f32>; 2]>,
     /// What they were drawn with and submitted with.
     pub views: [EyeView; 2],
     /// When they were to be shown, ns of the runtime's clock.
@@ -53,21 +57,43 @@ impl EyeCapture {
         &self,
         device: &wgpu::Device,
         queue: &wgpu::Queue,
-        texture: &wgpu::Texture,
+        targets: &EyeTargets,
         views: &[EyeView; 2],
+        depth: Option<SubmittedDepth>,
         display_time: openxr::Time,
     ) {
         if !std::mem::take(&mut self.lock().is_wanted) {
             return;
         }
+        let texture = &targets.color.texture;
+        let depths = targets.depth.as_ref().zip(depth);
+        let depths = depths.and_then(|(layers, depth)| {
+            let bytes = read(device, queue, &layers.texture)?;
+            Some(bytes.map(|bytes| metres(&bytes, layers.texture.format(), depth)))
+        });
         let frame = read(device, queue, texture).map(|pixels| CapturedFrame {
             size: [texture.width(), texture.height()],
             format: texture.format(),
             pixels,
+            depths,
             views: *views,
             display_time: display_time.as_nanos(),
         });
         self.lock().frame = frame;
+    }
+}
+
+/// As the compositor reads it.
+fn metres(bytes: &[u8], format: TextureFormat, depth: SubmittedDepth) -> Vec<f32> {
+    let metres = |stored: f32| depth.near / stored;
+    if format == TextureFormat::Depth16Unorm {
+        let stored = bytes
+            .chunks_exact(2)
+            .map(|b| u16::from_le_bytes([b[0], b[1]]));
+        stored.map(|d| metres(f32::from(d) / 65535.0)).collect()
+    } else {
+        let stored = bytes.chunks_exact(4).map(|b| [b[0], b[1], b[2], b[3]]);
+        stored.map(|d| metres(f32::from_le_bytes(d))).collect()
     }
 }
 
@@ -76,7 +102,13 @@ fn read(
     queue: &wgpu::Queue,
     texture: &wgpu::Texture,
 ) -> Option<[Vec<u8>; 2]> {
-    let pixel_bytes = texture.format().block_copy_size(None)?;
+    let format = texture.format();
+    let drawn = if format.has_depth_aspect() {
+        wgpu::TextureUses::DEPTH_STENCIL_WRITE
+    } else {
+        wgpu::TextureUses::COLOR_TARGET
+    };
+    let pixel_bytes = format.block_copy_size(None)?;
     let row = texture.width() * pixel_bytes;
     let padded = row.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
     let layer = u64::from(padded) * u64::from(texture.height());
@@ -109,7 +141,7 @@ fn read(
         std::iter::once(wgpu::wgt::TextureTransition {
             texture,
             selector: None,
-            state: wgpu::TextureUses::COLOR_TARGET,
+            state: drawn,
         }),
     );
     queue.submit([encoder.finish()]);

@@ -12,12 +12,12 @@ use super::output::RoomOutput;
 use super::pose::{self, EyeView, FieldOfView};
 use super::session::CurrentFrame;
 use super::{HeadsetBlend, HeadsetStatus, MixedRealitySettings};
-use crate::RightEyeOf;
 use crate::environment::WithoutSky;
-use crate::interaction::Hands;
+use crate::interaction::{Hands, Viewer};
+use crate::{RightEyeOf, VolumeSampling};
 
 /// m; scans are looked at from near.
-const NEAR: f32 = 0.03;
+pub(crate) const NEAR: f32 = 0.03;
 
 /// An eye's camera: 0 is the left one, 1 the right.
 ///
@@ -139,6 +139,7 @@ pub(crate) fn spawn(
             Msaa::Off,
             DebandDither::Disabled,
             settings.render.clone(),
+            VolumeSampling::default(),
             settings.layers.clone(),
         ));
         if let Some(left) = left.replace(eye.id()) {
@@ -190,6 +191,7 @@ pub(crate) fn update(
     mut eyes: ResMut<EyeImages>,
     mut head: ResMut<HeadPose>,
     mut hands: ResMut<Hands>,
+    mut viewer: ResMut<Viewer>,
     origin: Query<&GlobalTransform, With<MixedRealityOrigin>>,
     mut cameras: Query<Eye>,
     mut blend: Local<Option<HeadsetBlend>>,
@@ -222,13 +224,21 @@ pub(crate) fn update(
         }
         if let Some(view) = views.as_ref().and_then(|views| views.get(eye.0)) {
             *transform = Transform::from_isometry(view.pose);
-            *projection = Projection::custom(EyeProjection::new(view.fov));
+            let wanted = EyeProjection::new(view.fov);
+            match &mut *projection {
+                Projection::Custom(custom) => match custom.get_mut::<EyeProjection>() {
+                    Some(projection) => *projection = wanted,
+                    None => *projection = Projection::custom(wanted),
+                },
+                _ => *projection = Projection::custom(wanted),
+            }
         }
     }
     let place = origin.single().map(GlobalTransform::to_isometry);
     let place = place.unwrap_or_default();
     head.0 = frame.views.as_ref().map(|views| place * pose::head(views));
     *hands = frame.hands.moved(place);
+    *viewer = Viewer(head.0);
 }
 
 /// What the way that pictures meet the room asks of a camera.

@@ -2,8 +2,8 @@
 
 use bevy::math::{Isometry3d, Vec3};
 use openxr::{
-    Action, ActionSet, ActiveActionSet, AnyGraphics, Binding, HandTracker, Instance, Path, Posef,
-    Session, Space, SpaceLocationFlags, Time, sys,
+    Action, ActionSet, AnyGraphics, Binding, HandTracker, Instance, Path, Posef, Session, Space,
+    SpaceLocationFlags, Time, sys,
 };
 
 use super::pose::{place, rotation};
@@ -21,6 +21,9 @@ struct Profile {
     /// What takes things, the firmest first.
     squeezes: &'static [&'static str],
 }
+
+const EYES: &str = "/user/eyes_ext";
+const GAZE_PROFILE: &str = "/interaction_profiles/ext/eye_gaze_interaction";
 
 /// Runtimes choose the one that fits what is there; those they don't know are passed over.
 const PROFILES: [Profile; 6] = [
@@ -74,6 +77,8 @@ struct Actions {
     /// One for each entry of [`Profile::squeezes`].
     squeezes: [Action<f32>; 2],
     hands: [HandSpaces; 2],
+    /// Where the eyes look: along −z.
+    gaze: Option<Space>,
 }
 
 struct HandSpaces {
@@ -89,11 +94,17 @@ impl Input {
             is_there.then(|| session.create_hand_tracker(hand).ok())?
         });
         Self {
-            actions: Actions::new(&runtime.instance, session)
+            actions: Actions::new(&runtime.instance, session, runtime.has_gaze)
                 .inspect_err(|result| bevy::log::warn!("there are no controllers: {result}"))
                 .ok(),
             trackers,
         }
+    }
+
+    /// Where the eyes look, in tracking space, as of the last [`Self::locate`].
+    pub(crate) fn gaze(&self, space: &Space, time: Time) -> Option<Isometry3d> {
+        let gaze = self.actions.as_ref()?.gaze.as_ref()?;
+        locate(gaze, space, time).ok().flatten()
     }
 
     /// In tracking space.
@@ -122,7 +133,11 @@ impl Input {
 }
 
 impl Actions {
-    fn new(instance: &Instance, session: &Session<AnyGraphics>) -> openxr::Result<Self> {
+    fn new(
+        instance: &Instance,
+        session: &Session<AnyGraphics>,
+        has_gaze: bool,
+    ) -> openxr::Result<Self> {
         let set = instance.create_action_set("holovol", "Volumes", 0)?;
         let paths = [
             instance.string_to_path(HANDS[0])?,
@@ -142,6 +157,7 @@ impl Actions {
             // Unknown to this runtime, mostly.
             let _ = instance.suggest_interaction_profile_bindings(path, &bindings);
         }
+        let gaze = has_gaze.then(|| gaze_action(instance, &set).ok()).flatten();
         session.attach_action_sets(&[&set])?;
         let spaces = |path: Path| -> openxr::Result<HandSpaces> {
             Ok(HandSpaces {
@@ -152,6 +168,9 @@ impl Actions {
         };
         Ok(Self {
             hands: [spaces(paths[0])?, spaces(paths[1])?],
+            gaze: gaze.and_then(|(action, eyes)| {
+                action.create_space(session, eyes, Posef::IDENTITY).ok()
+            }),
             set,
             squeezes,
         })
@@ -163,7 +182,7 @@ impl Actions {
         space: &Space,
         time: Time,
     ) -> openxr::Result<Hands> {
-        session.sync_actions(&[ActiveActionSet::new(&self.set)])?;
+        sync(session, &self.set)?;
         let hand = |spaces: &HandSpaces| -> openxr::Result<Hand> {
             let squeezes = self.squeezes.iter().filter_map(|action| {
                 let state = action.state(session, spaces.path).ok()?;
@@ -179,6 +198,38 @@ impl Actions {
         };
         Ok(Hands([hand(&self.hands[0])?, hand(&self.hands[1])?]))
     }
+}
+
+/// The action that follows the eyes, and whose they are.
+fn gaze_action(instance: &Instance, set: &ActionSet) -> openxr::Result<(Action<Posef>, Path)> {
+    let eyes = instance.string_to_path(EYES)?;
+    let action = set.create_action::<Posef>("gaze", "Where the eyes look", &[eyes])?;
+    let pose = instance.string_to_path(&format!("{EYES}/input/gaze_ext/pose"))?;
+    let profile = instance.string_to_path(GAZE_PROFILE)?;
+    instance.suggest_interaction_profile_bindings(profile, &[Binding::new(&action, pose)])?;
+    Ok((action, eyes))
+}
+
+/// As [`Session::sync_actions`], which allocates.
+#[expect(unsafe_code, reason = "a call to the runtime with one action set")]
+fn sync(session: &Session<AnyGraphics>, set: &ActionSet) -> openxr::Result<()> {
+    let active = sys::ActiveActionSet {
+        action_set: set.as_raw(),
+        subaction_path: Path::NULL,
+    };
+    let info = sys::ActionsSyncInfo {
+        ty: sys::ActionsSyncInfo::TYPE,
+        next: std::ptr::null(),
+        count_active_action_sets: 1,
+        active_action_sets: &active,
+    };
+    let sync_actions = session.instance().fp().sync_actions;
+    // SAFETY: the structures are of their type and live through the call.
+    let result = unsafe { sync_actions(session.as_raw(), &info) };
+    if result.into_raw() < 0 {
+        return Err(result);
+    }
+    Ok(())
 }
 
 impl Profile {

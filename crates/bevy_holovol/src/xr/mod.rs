@@ -43,7 +43,6 @@
 //!   submissions only, so that an upload may coincide with the runtime's; specifications forbid
 //!   that, and there is no way to lock it from here.
 
-mod blit;
 mod capture;
 mod cost;
 mod error;
@@ -55,7 +54,9 @@ mod output;
 mod pace;
 mod pose;
 mod runtime;
+mod screen;
 mod session;
+mod sight;
 mod simulate;
 
 use std::sync::{Arc, Mutex, PoisonError};
@@ -73,7 +74,6 @@ use bevy::render::renderer::{
     RenderAdapter, RenderAdapterInfo, RenderDevice, RenderInstance, RenderQueue, WgpuWrapper,
 };
 use bevy::render::settings::RenderCreation;
-use bevy::render::view::prepare_view_targets;
 use bevy::render::{
     ExtractSchedule, GpuResourceAppExt, Render, RenderApp, RenderPlugin, RenderSystems,
 };
@@ -81,14 +81,17 @@ use openxr::EnvironmentBlendMode;
 
 pub use capture::{CapturedFrame, EyeCapture};
 #[doc(hidden)]
-pub use cost::FrameCost;
+pub use cost::{CostOwner, FrameCost};
 pub use error::HeadsetError;
 pub use eyes::{EyeCamera, EyeImages, HeadPose, MixedRealityOrigin, before};
 pub use pose::{EyeView, FieldOfView};
 #[doc(hidden)]
 pub use pose::{RawView, TamperedViews};
+#[doc(hidden)]
+pub use sight::SyntheticSight;
 pub use simulate::{SimulatedHeadset, SimulationError};
 
+use crate::render::view_depth::ViewDepths;
 use crate::{InteractionPlugin, VolumeRenderMode, VolumeRenderSettings};
 use graphics::{DeviceParts, GraphicsApi};
 use runtime::Runtime;
@@ -113,7 +116,7 @@ impl Headset {
         // Longer names make openxr panic; NUL ends them.
         let app_name: String = app_name.chars().filter(|c| *c != '\0').take(30).collect();
         let runtime = Runtime::find(&app_name)?;
-        let eye_size = runtime.eye_size(1.0)?;
+        let eye_size = runtime.eye_size(None, 1.0)?;
         let (api, parts) = GraphicsApi::open_device(&runtime)?;
         Ok(Self {
             app_name,
@@ -195,18 +198,33 @@ pub struct MixedRealitySettings {
     pub tonemapping: Tonemapping,
     /// Of the images that the eyes draw into; by default `Rgba8UnormSrgb`.
     pub eye_format: TextureFormat,
-    /// Pixels of the eyes' images per pixel that the runtime recommends, along each axis, 0.1 to 8
-    /// and as far as the runtime allows; asked when a session opens. 1 by default.
+    /// Pixels of the eyes' images, if not as many as the runtime recommends; asked when a session
+    /// opens.
+    pub eye_size: Option<UVec2>,
+    /// Factor on these, along each axis, 0.1 to 8 and as far as the runtime allows; asked when a
+    /// session opens. 1 by default.
     pub resolution_scale: f32,
+    /// Gives the compositor the depth of what is seen, where it takes it: it then moves pictures to
+    /// the latest pose more truly. Costs one march through the volume per pixel. Asked when a
+    /// session opens; true by default.
+    pub has_depth_layer: bool,
     /// Bounds within which [`VolumeRenderSettings::resolution_scale`] of the eyes follows the
     /// headset's pace: less when frames come late, more when they have long been in time. `None`
     /// leaves it alone. 0.4 to 1 by default.
     pub volume_resolution: Option<[f32; 2]>,
+    /// Where that isn't enough for long, the headset is asked for fewer frames a second, no fewer
+    /// than this; as many as at first again when there is time. `None` leaves its rate alone. 60 by
+    /// default.
+    pub least_refresh_rate: Option<f32>,
+    /// Spends fewer samples where the eyes see less; `None` spends as many everywhere.
+    pub foveation: Option<Foveation>,
     /// Draws as for such a headset, though the session is what it is: for previews and tests. Asked
     /// when a session opens.
     pub simulated_blend: Option<HeadsetBlend>,
     #[doc(hidden)]
     pub tampered_views: Option<TamperedViews>,
+    #[doc(hidden)]
+    pub synthetic_sight: Option<Arc<SyntheticSight>>,
     /// Ends the app with the session, when that ends by the user's will; true by default.
     pub exits_app: bool,
 }
@@ -227,10 +245,15 @@ impl Default for MixedRealitySettings {
             layers: RenderLayers::default(),
             tonemapping: Tonemapping::KhronosPbrNeutral,
             eye_format: TextureFormat::Rgba8UnormSrgb,
+            eye_size: None,
             resolution_scale: 1.0,
+            has_depth_layer: true,
             volume_resolution: Some([0.4, 1.0]),
+            least_refresh_rate: Some(60.0),
+            foveation: Some(Foveation::default()),
             simulated_blend: None,
             tampered_views: None,
+            synthetic_sight: None,
             exits_app: true,
         }
     }
@@ -242,6 +265,32 @@ impl MixedRealitySettings {
             self.resolution_scale.clamp(0.1, 8.0)
         } else {
             1.0
+        }
+    }
+}
+
+/// Fewer samples where the eyes see less: unbiased, see [`VolumeSampling`](crate::VolumeSampling),
+/// noisier there. Angles in radians from where the eyes look.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Foveation {
+    /// Up to there pixels get all samples; 0.3 by default.
+    pub fovea: f32,
+    /// From there on they get [`Self::periphery`] of them; 0.6 by default.
+    pub far: f32,
+    /// Part of the samples, 0 to 1; 0.25 by default. Each pixel gets one at least.
+    pub periphery: f32,
+    /// Whether it goes where the eyes look, if the headset knows; else it is straight ahead. True by
+    /// default.
+    pub follows_gaze: bool,
+}
+
+impl Default for Foveation {
+    fn default() -> Self {
+        Self {
+            fovea: 0.3,
+            far: 0.6,
+            periphery: 0.25,
+            follows_gaze: true,
         }
     }
 }
@@ -327,6 +376,10 @@ pub struct HeadsetStatus {
     pub blend: HeadsetBlend,
     /// Pixels of the headset's images.
     pub eye_size: UVec2,
+    /// Whether the compositor gets depth as well.
+    pub has_depth_layer: bool,
+    /// Whether the headset knows where the eyes look.
+    pub has_gaze: bool,
     /// Whether the eyes' poses and fields of view are known.
     pub is_tracked: bool,
     /// Frames that the runtime has paced since the start.
@@ -375,7 +428,10 @@ impl Plugin for MixedRealityPlugin {
                 ExtractComponentPlugin::<output::RoomOutput>::default(),
             ))
             .add_systems(PreStartup, eyes::spawn)
-            .add_systems(First, (session::update, eyes::update, pace::keep).chain());
+            .add_systems(
+                First,
+                (session::update, eyes::update, sight::update, pace::keep).chain(),
+            );
         let Some(render_app) = app.get_sub_app_mut(RenderApp) else {
             return;
         };
@@ -391,9 +447,6 @@ impl Plugin for MixedRealityPlugin {
                         .after(RenderSystems::ExtractCommands)
                         .before(RenderSystems::PrepareAssets)
                         .before(RenderSystems::PrepareViews),
-                    output::prepare
-                        .in_set(RenderSystems::PrepareViews)
-                        .after(prepare_view_targets),
                     frame::submit
                         .after(RenderSystems::Render)
                         .before(RenderSystems::Cleanup),
@@ -405,8 +458,8 @@ impl Plugin for MixedRealityPlugin {
     fn finish(&self, app: &mut App) {
         if let Some(render_app) = app.get_sub_app_mut(RenderApp) {
             render_app
-                .init_gpu_resource::<blit::Blitter>()
-                .init_gpu_resource::<output::OutputPipelines>();
+                .init_gpu_resource::<screen::Screen>()
+                .init_gpu_resource::<ViewDepths>();
         }
     }
 }

@@ -21,6 +21,74 @@ const LATE: f32 = 1.5;
 /// Frames after a change that were begun before it.
 const ECHO: u32 = 2;
 
+/// s at the least resolution with frames late, until fewer frames are asked for.
+const STARVED: f32 = 2.0;
+/// s at the full resolution in time, until more are.
+const PLENTY: f32 = 30.0;
+
+/// The headset's refresh rate, which goes down when even the least resolution is too much.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct RatePace {
+    late_for: f32,
+    in_time_for: f32,
+    /// What was asked for last, 1/s.
+    wanted: Option<f32>,
+}
+
+impl RatePace {
+    /// Takes in a frame as [`Pace`] has, and the scale that it led to; returns the rate to ask for,
+    /// if another: one of the ascending `rates`, at least `least`, and never above the `first`.
+    #[expect(clippy::too_many_arguments, reason = "all that a frame says")]
+    pub(crate) fn note(
+        &mut self,
+        interval: f32,
+        period: f32,
+        scale: f32,
+        [least_scale, most_scale]: [f32; 2],
+        rates: &[f32],
+        least: f32,
+        first: f32,
+    ) -> Option<f32> {
+        let is_told = interval > 0.0 && period > 0.0 && interval.is_finite() && period.is_finite();
+        if !is_told {
+            return None;
+        }
+        let is_late = interval > LATE * period;
+        if is_late && scale <= least_scale {
+            self.late_for += interval;
+            self.in_time_for = 0.0;
+        } else if !is_late {
+            self.late_for = (self.late_for - interval).max(0.0);
+            self.in_time_for = if scale >= most_scale {
+                self.in_time_for + interval
+            } else {
+                0.0
+            };
+        }
+        let now = self.wanted.unwrap_or(first);
+        /// Rates come as 89.99 and 90.
+        const SAME: f32 = 0.5;
+        let next = if self.late_for >= STARVED {
+            let lower = rates.iter().rev();
+            lower
+                .copied()
+                .find(|rate| *rate < now - SAME && *rate >= least - SAME)
+        } else if self.in_time_for >= PLENTY {
+            let higher = rates.iter();
+            higher
+                .copied()
+                .find(|rate| *rate > now + SAME && *rate <= first + SAME)
+        } else {
+            None
+        }?;
+        *self = Self {
+            wanted: Some(next),
+            ..Self::default()
+        };
+        Some(next)
+    }
+}
+
 /// Pixels traced per pixel of the eyes' images along each axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Pace {
@@ -75,13 +143,15 @@ impl Pace {
 }
 
 /// `First`, after the wait for a frame.
+#[expect(clippy::too_many_arguments, reason = "all that a pace is kept with")]
 pub(crate) fn keep(
     frame: Res<CurrentFrame>,
     status: Res<HeadsetStatus>,
     settings: Res<MixedRealitySettings>,
     mut eyes: Query<&mut VolumeRenderSettings, With<EyeCamera>>,
-    mut pace: Local<Pace>,
+    mut pace: Local<(Pace, RatePace)>,
     mut last: Local<Option<i64>>,
+    mut first_rate: Local<Option<f32>>,
     cost: Res<FrameCost>,
 ) {
     let _counting = cost.count();
@@ -96,7 +166,25 @@ pub(crate) fn keep(
         return;
     };
     let interval = now.saturating_sub(former) as f32 * 1e-9;
-    let scale = pace.note(interval, status.period.as_secs_f32(), range);
+    let period = status.period.as_secs_f32();
+    let (pace, rate_pace) = &mut *pace;
+    let scale = pace.note(interval, period, range);
+    if let (Some(shared), Some(least)) = (&frame.shared, settings.least_refresh_rate)
+        && !shared.refresh_rates.is_empty()
+        && period > 0.0
+    {
+        let (rates, first) = (
+            &shared.refresh_rates,
+            *first_rate.get_or_insert(1.0 / period),
+        );
+        let wanted = rate_pace.note(interval, period, scale, range, rates, least, first);
+        if let Some(rate) = wanted {
+            match shared.session.request_display_refresh_rate(rate) {
+                Ok(()) => info!("the headset is asked for {rate} frames a second"),
+                Err(result) => warn!("the headset refuses {rate} frames a second: {result}"),
+            }
+        }
+    }
     for mut eye in &mut eyes {
         if eye.resolution_scale != scale {
             eye.resolution_scale = scale;
@@ -140,6 +228,63 @@ mod tests {
         let mut pace = Pace::default();
         assert!(run(&mut pace, 4.0, 10.0).0 < 0.6);
         assert_eq!(run(&mut pace, 0.5, 60.0).0, 1.0);
+    }
+
+    /// The rate that is asked for last, of a device that takes `cost` s for a frame at scale 1.
+    fn rate(cost: f32, seconds: f32, rates: &[f32], least: f32) -> Option<f32> {
+        let (mut pace, mut rate_pace) = (Pace::default(), RatePace::default());
+        let (mut time, mut rate, mut asked) = (0.0, 90.0, None);
+        let mut scale = 1.0_f32;
+        while time < seconds {
+            let period = 1.0 / rate;
+            let interval = (cost * scale * scale / period).ceil().max(1.0) * period;
+            time += interval;
+            scale = pace.note(interval, period, RANGE);
+            let wanted = rate_pace.note(interval, period, scale, RANGE, rates, least, 90.0);
+            asked = wanted.or(asked);
+            rate = wanted.unwrap_or(rate);
+        }
+        asked
+    }
+
+    #[test]
+    fn the_rate_goes_down_when_the_least_resolution_is_too_much() {
+        let rates = [60.0, 72.0, 89.99, 120.0];
+        // At 0.4² of it, 90 frames a second take 0.069 s, 72 take 0.087 s.
+        assert_eq!(
+            rate(0.06, 30.0, &rates, 60.0),
+            None,
+            "the resolution is enough"
+        );
+        assert_eq!(rate(0.08, 30.0, &rates, 60.0), Some(72.0));
+        assert_eq!(rate(0.1, 60.0, &rates, 60.0), Some(60.0));
+        assert_eq!(
+            rate(0.1, 60.0, &rates, 70.0),
+            Some(72.0),
+            "not below the least"
+        );
+        assert_eq!(rate(1.0, 30.0, &[], 60.0), None);
+        assert_eq!(
+            rate(0.001, 90.0, &rates, 60.0),
+            None,
+            "never above the first"
+        );
+    }
+
+    #[test]
+    fn the_rate_comes_back_when_there_is_time() {
+        let mut pace = RatePace {
+            wanted: Some(60.0),
+            ..RatePace::default()
+        };
+        let mut asked = None;
+        for _ in 0..(2.2 * PLENTY * 60.0) as u32 {
+            let rates = [60.0, 72.0, 90.0, 120.0];
+            asked = pace
+                .note(1.0 / 60.0, 1.0 / 60.0, 1.0, RANGE, &rates, 60.0, 90.0)
+                .or(asked);
+        }
+        assert_eq!(asked, Some(90.0), "by way of 72");
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! The way to a runtime: loader, instance, system.
 
+use bevy::math::UVec2;
 use openxr::{
     ApplicationInfo, Entry, EnvironmentBlendMode, ExtensionSet, FormFactor, Instance, SystemId,
     ViewConfigurationType, sys,
@@ -19,6 +20,14 @@ pub(crate) struct Runtime {
     /// What the runtime calls the headset.
     pub(crate) system_name: String,
     pub(crate) has_hand_tracking: bool,
+    /// Pictures may come with their depth.
+    pub(crate) takes_depth: bool,
+    /// It says what of the images nobody sees.
+    pub(crate) has_visibility_mask: bool,
+    /// Its refresh rate can be chosen.
+    pub(crate) has_refresh_rates: bool,
+    /// It can be asked where the eyes look; whether it knows shows later.
+    pub(crate) has_gaze: bool,
 }
 
 impl Runtime {
@@ -31,6 +40,9 @@ impl Runtime {
         let mut wanted = ExtensionSet::default();
         wanted.khr_vulkan_enable2 = offered.khr_vulkan_enable2;
         wanted.khr_visibility_mask = offered.khr_visibility_mask;
+        wanted.khr_composition_layer_depth = offered.khr_composition_layer_depth;
+        wanted.fb_display_refresh_rate = offered.fb_display_refresh_rate;
+        wanted.ext_eye_gaze_interaction = offered.ext_eye_gaze_interaction;
         wanted.ext_hand_tracking = offered.ext_hand_tracking;
         wanted.ext_hand_interaction = offered.ext_hand_interaction;
         wanted.msft_hand_interaction = offered.msft_hand_interaction;
@@ -77,6 +89,10 @@ impl Runtime {
         let has_hand_tracking =
             wanted.ext_hand_tracking && instance.supports_hand_tracking(system).unwrap_or_default();
         Ok(Self {
+            takes_depth: wanted.khr_composition_layer_depth,
+            has_visibility_mask: wanted.khr_visibility_mask,
+            has_refresh_rates: wanted.fb_display_refresh_rate,
+            has_gaze: wanted.ext_eye_gaze_interaction,
             instance,
             system,
             name,
@@ -85,9 +101,13 @@ impl Runtime {
         })
     }
 
-    /// Pixels of an eye's image: as the runtime recommends, times a factor along each axis, as far as
-    /// it allows.
-    pub(crate) fn eye_size(&self, factor: f32) -> Result<[u32; 2], HeadsetError> {
+    /// Pixels of an eye's image: those `wanted`, else as the runtime recommends, times a factor along
+    /// each axis; as far as it allows.
+    pub(crate) fn eye_size(
+        &self,
+        wanted: Option<UVec2>,
+        factor: f32,
+    ) -> Result<[u32; 2], HeadsetError> {
         let views = self
             .instance
             .enumerate_view_configuration_views(self.system, STEREO)
@@ -95,16 +115,20 @@ impl Runtime {
         let [left, right] = views[..] else {
             return Err(HeadsetError::NotStereo);
         };
-        let size = |recommended: [u32; 2], most: [u32; 2]| {
-            let wanted = (recommended[0].max(recommended[1]) as f32 * factor).round() as u32;
-            wanted.clamp(1, most[0].min(most[1]).max(1))
+        let size = |axis: usize, recommended: [u32; 2], most: [u32; 2]| {
+            let asked = wanted.map(|size| size[axis]);
+            let asked = asked.unwrap_or(recommended[0].max(recommended[1]));
+            let pixels = (asked as f32 * factor).round() as u32;
+            pixels.clamp(1, most[0].min(most[1]).max(1))
         };
         Ok([
             size(
+                0,
                 [left, right].map(|view| view.recommended_image_rect_width),
                 [left, right].map(|view| view.max_image_rect_width),
             ),
             size(
+                1,
                 [left, right].map(|view| view.recommended_image_rect_height),
                 [left, right].map(|view| view.max_image_rect_height),
             ),

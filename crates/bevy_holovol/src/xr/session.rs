@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use bevy::math::Isometry3d;
 use bevy::prelude::*;
 use bevy::render::renderer::RenderDevice;
 use bevy::tasks::{IoTaskPool, Task, futures::check_ready};
@@ -16,6 +17,7 @@ use super::cost::FrameCost;
 use super::graphics::{Frames, GraphicsApi};
 use super::pose::{self, EyeHistory, EyeView, FieldOfView, RawView, TamperedViews};
 use super::runtime::{Runtime, STEREO};
+use super::sight::{self, HiddenParts};
 use super::{
     HeadsetBlend, HeadsetError, HeadsetRequest, HeadsetState, HeadsetStatus, MixedRealitySettings,
 };
@@ -37,12 +39,21 @@ pub(crate) struct SharedSession {
     failure: Mutex<Option<(&'static str, sys::Result)>>,
     histories: Mutex<[EyeHistory; 2]>,
     tamper: Option<TamperedViews>,
+    /// What of their images the eyes can't see.
+    hidden: Mutex<[HiddenParts; 2]>,
+    /// 1/s, ascending; empty where they can't be chosen.
+    pub(crate) refresh_rates: Vec<f32>,
     frames: Mutex<Box<dyn Frames>>,
 }
 
 impl SharedSession {
     pub(crate) fn frames(&self) -> MutexGuard<'_, Box<dyn Frames>> {
         self.frames.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn hidden(&self) -> [HiddenParts; 2] {
+        let hidden = self.hidden.lock().unwrap_or_else(PoisonError::into_inner);
+        hidden.clone()
     }
 
     /// Notes what ends the session; the first failure is the cause.
@@ -67,7 +78,7 @@ impl SharedSession {
             .histories
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        match self.session.locate_views(STEREO, time, &self.space) {
+        match locate_views(&self.session, time, &self.space) {
             Ok((flags, views)) => {
                 for (history, view) in histories.iter_mut().zip(&views) {
                     let mut raw = raw_view(flags, view);
@@ -86,7 +97,55 @@ impl SharedSession {
     }
 }
 
-fn raw_view(flags: ViewStateFlags, view: &openxr::View) -> RawView {
+/// As [`Session::locate_views`], which allocates.
+#[expect(unsafe_code, reason = "a call to the runtime with room for two views")]
+fn locate_views(
+    session: &Session<AnyGraphics>,
+    display_time: Time,
+    space: &Space,
+) -> Result<(ViewStateFlags, [sys::View; 2]), sys::Result> {
+    let info = sys::ViewLocateInfo {
+        ty: sys::ViewLocateInfo::TYPE,
+        next: std::ptr::null(),
+        view_configuration_type: STEREO,
+        display_time,
+        space: space.as_raw(),
+    };
+    let mut state = sys::ViewState {
+        ty: sys::ViewState::TYPE,
+        next: std::ptr::null_mut(),
+        view_state_flags: ViewStateFlags::EMPTY,
+    };
+    let mut views = [sys::View {
+        ty: sys::View::TYPE,
+        next: std::ptr::null_mut(),
+        pose: Posef::IDENTITY,
+        fov: openxr::Fovf::default(),
+    }; 2];
+    let mut count = 0;
+    let locate = session.instance().fp().locate_views;
+    // SAFETY: all structures are of their type and live through the call; there is room for two
+    // views, as that call is told.
+    let result = unsafe {
+        locate(
+            session.as_raw(),
+            &info,
+            &mut state,
+            2,
+            &mut count,
+            views.as_mut_ptr(),
+        )
+    };
+    if result.into_raw() < 0 {
+        Err(result)
+    } else if count == 2 {
+        Ok((state.view_state_flags, views))
+    } else {
+        Err(sys::Result::ERROR_VALIDATION_FAILURE)
+    }
+}
+
+fn raw_view(flags: ViewStateFlags, view: &sys::View) -> RawView {
     let has = |flag| flags & flag == flag;
     let (q, p, fov) = (view.pose.orientation, view.pose.position, view.fov);
     RawView {
@@ -121,6 +180,8 @@ pub(crate) struct CurrentFrame {
     pub(crate) views: Option<[EyeView; 2]>,
     /// In tracking space.
     pub(crate) hands: Hands,
+    /// Where the eyes look, −z, in tracking space.
+    pub(crate) gaze: Option<Isometry3d>,
 }
 
 #[derive(Clone, Copy)]
@@ -276,8 +337,9 @@ fn open(
     settings: &MixedRealitySettings,
     status: &mut HeadsetStatus,
 ) -> Result<Live, HeadsetError> {
-    let size = runtime.eye_size(settings.resolution_factor())?;
-    let opened = api.open_session(runtime, device.wgpu_device(), size)?;
+    let size = runtime.eye_size(settings.eye_size, settings.resolution_factor())?;
+    let wants_depth = settings.has_depth_layer && runtime.takes_depth;
+    let opened = api.open_session(runtime, device.wgpu_device(), size, wants_depth)?;
     let offered = runtime.blend_modes()?;
     let (blend, blend_mode) = HeadsetBlend::choose(&settings.blend_preference, &offered)
         .ok_or(HeadsetError::NoBlendMode)?;
@@ -296,16 +358,30 @@ fn open(
         .create_reference_space(space, Posef::IDENTITY)
         .map_err(HeadsetError::of("xrCreateReferenceSpace"))?;
     let input = super::input::Input::new(runtime, session);
+    let hidden = [0, 1].map(|eye| sight::hidden_parts(runtime, session, eye));
+    let refresh_rates = if runtime.has_refresh_rates {
+        session
+            .enumerate_display_refresh_rates()
+            .unwrap_or_default()
+    } else {
+        Vec::new()
+    };
     status.state = HeadsetState::Idle;
     status.runtime.clone_from(&runtime.name);
     status.headset.clone_from(&runtime.system_name);
     status.blend = blend;
     status.eye_size = UVec2::from(opened.size);
+    status.has_depth_layer = opened.depth_format.is_some();
     status.sessions += 1;
     status.problem = None;
     info!(
-        "{} on {}: {} × {} pixels per eye, {blend:?}, {:?}",
-        runtime.system_name, runtime.name, opened.size[0], opened.size[1], opened.format
+        "{} on {}: {} × {} pixels per eye, {blend:?}, {:?}, depth: {:?}",
+        runtime.system_name,
+        runtime.name,
+        opened.size[0],
+        opened.size[1],
+        opened.format,
+        opened.depth_format
     );
     Ok(Live {
         waiter: opened.waiter,
@@ -320,6 +396,8 @@ fn open(
             failure: Mutex::default(),
             histories: Mutex::default(),
             tamper: settings.tampered_views,
+            hidden: Mutex::new(hidden),
+            refresh_rates,
             frames: Mutex::new(opened.frames),
         }),
     })
@@ -340,14 +418,19 @@ impl Live {
         let mut buffer = EventDataBuffer::new();
         loop {
             match runtime.instance.poll_event(&mut buffer) {
-                Ok(Some(event)) => self.take_in(&event, status)?,
+                Ok(Some(event)) => self.take_in(&event, runtime, status)?,
                 Ok(None) => return Ok(()),
                 Err(result) => return Err(End::of("xrPollEvent", result)),
             }
         }
     }
 
-    fn take_in(&mut self, event: &Event<'_>, status: &mut HeadsetStatus) -> Result<(), End> {
+    fn take_in(
+        &mut self,
+        event: &Event<'_>,
+        runtime: &Runtime,
+        status: &mut HeadsetStatus,
+    ) -> Result<(), End> {
         match event {
             Event::SessionStateChanged(change) => self.enter(change.state(), status),
             Event::InstanceLossPending(_) => {
@@ -355,6 +438,15 @@ impl Live {
             }
             Event::ReferenceSpaceChangePending(_) => {
                 status.recenterings += 1;
+                Ok(())
+            }
+            Event::VisibilityMaskChangedKHR(change) => {
+                let shared = &self.shared;
+                let mut hidden = shared.hidden.lock().unwrap_or_else(PoisonError::into_inner);
+                let eye = change.view_index();
+                if let Some(parts) = hidden.get_mut(eye as usize) {
+                    *parts = sight::hidden_parts(runtime, &shared.session, eye);
+                }
                 Ok(())
             }
             Event::EventsLost(lost) => {
@@ -433,6 +525,7 @@ impl Live {
             frame.hands = self
                 .input
                 .locate(&shared.session, &shared.space, time, head);
+            frame.gaze = self.input.gaze(&shared.space, time);
         }
         Ok(frame)
     }
@@ -482,6 +575,7 @@ pub(crate) fn update(
     if let Some(timing) = &frame.timing {
         status.last_display_time = timing.display_time.as_nanos();
         status.is_tracked = frame.views.is_some();
+        status.has_gaze = frame.gaze.is_some();
     } else {
         std::thread::sleep(IDLE_FRAME);
     }

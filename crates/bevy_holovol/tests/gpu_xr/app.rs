@@ -12,8 +12,9 @@ use bevy::winit::WinitPlugin;
 use bevy_holovol::VolumeStatistics;
 use bevy_holovol::prelude::*;
 use bevy_holovol::xr::{
-    CapturedFrame, EyeCapture, Headset, HeadsetState, HeadsetStatus, MixedRealitySettings,
+    CapturedFrame, EyeCapture, EyeView, Headset, HeadsetState, HeadsetStatus, MixedRealitySettings,
 };
+use glam::{DMat4, DVec4};
 use holovol_volume::{Geometry, TransferFunction, TransferPoint, Volume, Voxels};
 
 /// Until something that has to happen has happened on the slowest machine.
@@ -61,6 +62,8 @@ pub fn settings() -> MixedRealitySettings {
         },
         // Software is too slow for any pace.
         volume_resolution: None,
+        // Expected noise is that of equal samples.
+        foveation: None,
         exits_app: false,
         ..default()
     }
@@ -172,4 +175,30 @@ pub fn linear(frame: &CapturedFrame, eye: usize) -> Vec<[f32; 4]> {
             [r, g, b, f32::from(pixel[3]) / 255.0]
         })
         .collect()
+}
+
+/// By the definition of a field of view, apart from what the app does.
+pub fn projection(view: &EyeView) -> DMat4 {
+    let tan = |angle: f32| f64::from(angle).tan();
+    let (l, r) = (tan(view.fov.left), tan(view.fov.right));
+    let (d, u) = (tan(view.fov.down), tan(view.fov.up));
+    let x = DVec4::new(2.0, 0.0, l + r, 0.0) / (r - l);
+    let y = DVec4::new(0.0, 2.0, d + u, 0.0) / (u - d);
+    let near = DVec4::new(0.0, 0.0, 0.0, 0.1);
+    DMat4::from_cols(x, y, near, -DVec4::Z).transpose()
+}
+
+pub fn world_from_eye(view: &EyeView) -> DMat4 {
+    let rotation = view.pose.rotation.as_dquat();
+    let translation = Vec3::from(view.pose.translation).as_dvec3();
+    DMat4::from_rotation_translation(rotation, translation)
+}
+
+/// Pixels from the top left at which an eye should see a point.
+pub fn project(view: &EyeView, size: [u32; 2], point: Vec3) -> [f64; 2] {
+    let eye = world_from_eye(view).inverse();
+    let clip = projection(view) * eye * point.as_dvec3().extend(1.0);
+    let [x, y] = [clip.x / clip.w, clip.y / clip.w];
+    let [width, height] = size.map(f64::from);
+    [width * (0.5 + 0.5 * x), height * (0.5 - 0.5 * y)]
 }

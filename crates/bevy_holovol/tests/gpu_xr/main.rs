@@ -3,9 +3,12 @@
 //! Run through `scripts/xr-runtime` where Monado isn't installed. Without it the tests are ignored,
 //! or fail when `HOLOVOL_REQUIRE_XR=1`.
 
+mod allocations;
 mod app;
+mod depth;
 mod pictures;
 mod sessions;
+mod sight;
 
 use std::sync::Mutex;
 
@@ -36,7 +39,7 @@ fn main() {
         eprintln!("{error}");
     }
     let missing = missing.map(|error| error.to_string());
-    let tests: Vec<Test> = [sessions::TESTS, pictures::TESTS].concat();
+    let tests: Vec<Test> = [sessions::TESTS, pictures::TESTS, depth::TESTS, sight::TESTS].concat();
     let trials = tests.into_iter().map(|(name, body)| {
         let missing = missing.clone();
         Trial::test(name, move || {

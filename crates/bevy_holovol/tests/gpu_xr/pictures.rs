@@ -6,13 +6,13 @@ use bevy::prelude::*;
 use bevy_holovol::VolumeStatistics;
 use bevy_holovol::prelude::*;
 use bevy_holovol::xr::{
-    CapturedFrame, EyeCamera, EyeView, HeadsetBlend, MixedRealitySettings, RawView, TamperedViews,
+    CapturedFrame, EyeCamera, HeadsetBlend, MixedRealitySettings, RawView, TamperedViews,
 };
-use glam::{DMat4, DVec3, DVec4};
+use glam::{DMat4, DVec3};
 use holovol_light::EnvironmentMap;
 use holovol_render::{
-    FrameTracer, Gpu, GpuEnvironment, GpuVolume, Interpolation, Kernels, Medium, TraceOptions,
-    View, ViewFrame,
+    FrameTracer, Gpu, GpuEnvironment, GpuVolume, Interpolation, Kernels, Medium, SampleShares,
+    TraceOptions, View, ViewFrame,
 };
 use holovol_volume::{TransferFunction, Volume};
 
@@ -23,6 +23,7 @@ pub const TESTS: &[crate::Test] = &[
         "each_eye_gets_what_its_view_renders_offline",
         each_eye_gets_what_its_view_renders,
     ),
+    ("large_images_are_right", large_images_are_right),
     (
         "what_is_drawn_is_what_was_located_last",
         what_is_drawn_is_what_was_located_last,
@@ -41,14 +42,14 @@ pub const TESTS: &[crate::Test] = &[
     ),
 ];
 
-const ALBEDO: [f64; 3] = [0.8, 0.5, 0.3];
+pub const ALBEDO: [f64; 3] = [0.8, 0.5, 0.3];
 /// Samples per pixel of a frame, and of the rendering that it is compared with.
-const SAMPLES: u32 = 16;
-const REFERENCE_SAMPLES: u32 = 256;
+pub const SAMPLES: u32 = 16;
+pub const REFERENCE_SAMPLES: u32 = 256;
 /// m; the simulated head is 1.6 m above the floor.
 const PLACE: Vec3 = Vec3::new(0.05, 1.55, -0.9);
 
-fn scene(settings: MixedRealitySettings) -> (App, Volume, TransferFunction, Transform) {
+pub fn scene(settings: MixedRealitySettings) -> (App, Volume, TransferFunction, Transform) {
     let mut app = app(MixedRealitySettings {
         render: bevy_holovol::VolumeRenderSettings {
             samples: SAMPLES,
@@ -63,29 +64,32 @@ fn scene(settings: MixedRealitySettings) -> (App, Volume, TransferFunction, Tran
     (app, volume(), matter, place)
 }
 
-/// By the definition of a field of view, apart from what the app does.
-fn projection(view: &EyeView) -> DMat4 {
-    let tan = |angle: f32| f64::from(angle).tan();
-    let (l, r) = (tan(view.fov.left), tan(view.fov.right));
-    let (d, u) = (tan(view.fov.down), tan(view.fov.up));
-    let x = DVec4::new(2.0, 0.0, l + r, 0.0) / (r - l);
-    let y = DVec4::new(0.0, 2.0, d + u, 0.0) / (u - d);
-    let near = DVec4::new(0.0, 0.0, 0.0, 0.1);
-    DMat4::from_cols(x, y, near, -DVec4::Z).transpose()
-}
-
-fn world_from_eye(view: &EyeView) -> DMat4 {
-    let rotation = view.pose.rotation.as_dquat();
-    let translation = Vec3::from(view.pose.translation).as_dvec3();
-    DMat4::from_rotation_translation(rotation, translation)
-}
-
 /// Linear premultiplied RGBA of both eyes.
-fn offline(
+pub fn offline(
     frame: &CapturedFrame,
     volume: &Volume,
     matter: &TransferFunction,
     place: Transform,
+    samples: u32,
+) -> [Vec<[f32; 4]>; 2] {
+    offline_with(
+        frame,
+        volume,
+        matter,
+        place,
+        [samples.min(32), samples],
+        None,
+    )
+}
+
+/// The same, so many samples at a time and in all, of which blocks may get shares.
+pub fn offline_with(
+    frame: &CapturedFrame,
+    volume: &Volume,
+    matter: &TransferFunction,
+    place: Transform,
+    [at_once, samples]: [u32; 2],
+    shares: Option<&Arc<SampleShares>>,
 ) -> [Vec<[f32; 4]>; 2] {
     let gpu = Gpu::new(None).expect("an adapter");
     let world_from_local = DMat4::from_scale_rotation_translation(
@@ -118,13 +122,16 @@ fn offline(
     .expect("a tracer");
     tracer.wait_for_kernels();
     tracer.set_views(&[frame.size; 2]).expect("room");
+    for slot in 0..2 {
+        tracer.set_shares(slot, shares).expect("room");
+    }
     let frames = [0, 1].map(|slot| {
         let view = &frame.views[slot];
         ViewFrame {
             slot,
             view: View::from_projection(world_from_eye(view), projection(view), frame.size),
-            samples: 32,
-            max_samples: REFERENCE_SAMPLES,
+            samples: at_once,
+            max_samples: samples,
             restart: false,
             mesh_depth: None,
         }
@@ -141,7 +148,7 @@ fn offline(
 }
 
 /// Means of 16 × 16 blocks.
-fn blocks(pixels: &[[f32; 4]], width: usize) -> Vec<[f64; 4]> {
+pub fn blocks(pixels: &[[f32; 4]], width: usize) -> Vec<[f64; 4]> {
     let height = pixels.len() / width;
     let mut blocks = Vec::new();
     for top in (0..height).step_by(16) {
@@ -161,14 +168,19 @@ fn blocks(pixels: &[[f32; 4]], width: usize) -> Vec<[f64; 4]> {
 
 /// How far apart in standard deviations at most: a sample is between 0 and `most`, which bounds its
 /// variance by m·(most − m), m its mean.
-fn greatest_z(found: &[[f64; 4]], expected: &[[f64; 4]], most: [f64; 4]) -> f64 {
+pub fn greatest_z(
+    found: &[[f64; 4]],
+    expected: &[[f64; 4]],
+    most: [f64; 4],
+    samples: [u32; 2],
+) -> f64 {
     /// Of a mean of rounded 8-bit values, linear.
     const ROUNDING: f64 = 1.5e-3;
     let mut greatest: f64 = 0.0;
     for (found, expected) in found.iter().zip(expected) {
         for c in 0..4 {
             let variance = (expected[c] * (most[c] - expected[c])).max(0.0);
-            let per_block = 1.0 / f64::from(SAMPLES) + 1.0 / f64::from(REFERENCE_SAMPLES);
+            let per_block: f64 = samples.iter().map(|n| 1.0 / f64::from(*n)).sum();
             let sigma = (variance * per_block / 256.0).sqrt();
             greatest = greatest.max((found[c] - expected[c]).abs() / (sigma + ROUNDING));
         }
@@ -176,13 +188,31 @@ fn greatest_z(found: &[[f64; 4]], expected: &[[f64; 4]], most: [f64; 4]) -> f64 
     greatest
 }
 
+/// Those of a picture and of what it is compared with.
+const COUNTS: [u32; 2] = [SAMPLES, REFERENCE_SAMPLES];
+
 fn each_eye_gets_what_its_view_renders() {
     let (mut app, volume, matter, place) = scene(settings());
     show(&mut app);
     for _ in 0..2 {
         let frame = capture(&mut app);
-        assert_drawn_as_submitted(&frame, &volume, &matter, place);
+        assert_drawn_as_submitted(&frame, &volume, &matter, place, COUNTS);
     }
+}
+
+/// What a HoloLens 2 has, once: 2.7 million pixels.
+fn large_images_are_right() {
+    const FEW: [u32; 2] = [2, 8];
+    let (mut app, volume, matter, place) = scene(MixedRealitySettings {
+        eye_size: Some(UVec2::new(1440, 936)),
+        ..settings()
+    });
+    let mut eyes = app.world_mut().resource_mut::<MixedRealitySettings>();
+    eyes.render.samples = FEW[0];
+    show(&mut app);
+    let frame = capture(&mut app);
+    assert_eq!(frame.size, [1440, 936]);
+    assert_drawn_as_submitted(&frame, &volume, &matter, place, FEW);
 }
 
 /// The first answer for a display time, which the main world gets, is elsewhere and narrower.
@@ -211,7 +241,7 @@ fn what_is_drawn_is_what_was_located_last() {
     let frame = capture(&mut app);
     let [left, right] = frame.views.map(|view| view.fov);
     assert!((left.left + right.right).abs() < 1e-3, "{left:?} {right:?}");
-    assert_drawn_as_submitted(&frame, &volume, &matter, place);
+    assert_drawn_as_submitted(&frame, &volume, &matter, place, COUNTS);
 }
 
 fn assert_drawn_as_submitted(
@@ -219,6 +249,7 @@ fn assert_drawn_as_submitted(
     volume: &Volume,
     matter: &TransferFunction,
     place: Transform,
+    samples: [u32; 2],
 ) {
     let width = frame.size[0] as usize;
     assert_eq!(frame.pixels[0].len(), 4 * width * frame.size[1] as usize);
@@ -230,13 +261,13 @@ fn assert_drawn_as_submitted(
             width,
         )
     };
-    let expected = offline(frame, volume, matter, place).map(seen);
+    let expected = offline(frame, volume, matter, place, samples[1]).map(seen);
     let found = [0, 1].map(|eye| seen(linear(frame, eye)));
     let [r, g, b] = ALBEDO;
     let most = [r, g, b, 0.0];
     for eye in 0..2 {
-        let z = greatest_z(&found[eye], &expected[eye], most);
-        let z_of_other = greatest_z(&found[eye], &expected[1 - eye], most);
+        let z = greatest_z(&found[eye], &expected[eye], most, samples);
+        let z_of_other = greatest_z(&found[eye], &expected[1 - eye], most, samples);
         eprintln!("eye {eye}: z up to {z:.2}; against the other eye's view {z_of_other:.1}");
         assert!(z < 3.0, "{z}");
         assert!(z_of_other > 20.0, "the eyes see alike: {z_of_other}");
@@ -282,7 +313,7 @@ fn denoised_eyes_are_nearer() {
             }
         });
         let frame = capture(&mut app);
-        let expected = offline(&frame, &volume, &matter, place);
+        let expected = offline(&frame, &volume, &matter, place, REFERENCE_SAMPLES);
         let found = [0, 1].map(|eye| linear(&frame, eye));
         let mean = |image: &[[f32; 4]]| image.iter().map(|p| f64::from(p[0])).sum::<f64>();
         for eye in 0..2 {
@@ -299,15 +330,6 @@ fn denoised_eyes_are_nearer() {
         // 18 to 28 times; without history 12 to 14.
         assert!(15.0 * denoised[eye] < fresh[eye], "{denoised:?}, {fresh:?}");
     }
-}
-
-/// Pixels from the top left at which an eye should see a point.
-fn project(view: &EyeView, size: [u32; 2], point: Vec3) -> [f64; 2] {
-    let eye = world_from_eye(view).inverse();
-    let clip = projection(view) * eye * point.as_dvec3().extend(1.0);
-    let [x, y] = [clip.x / clip.w, clip.y / clip.w];
-    let [width, height] = size.map(f64::from);
-    [width * (0.5 + 0.5 * x), height * (0.5 - 0.5 * y)]
 }
 
 fn eyes_see_a_point_where_it_projects_to() {
@@ -372,7 +394,7 @@ fn over_a_room_opacity_comes_along_or_not() {
         let mean = |channel: usize, of: &[[f32; 4]]| {
             of.iter().map(|p| f64::from(p[channel])).sum::<f64>() / of.len() as f64
         };
-        let expected = offline(&frame, &volume, &matter, place);
+        let expected = offline(&frame, &volume, &matter, place, REFERENCE_SAMPLES);
         if blend == HeadsetBlend::Alpha {
             let [found, expected] = [mean(3, &picture), mean(3, &expected[0])];
             assert!((found / expected - 1.0).abs() < 0.01, "{found}, {expected}");

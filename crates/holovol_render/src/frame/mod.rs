@@ -12,6 +12,7 @@
 mod kernels;
 mod readback;
 mod resume;
+mod shares;
 mod view;
 
 use std::sync::Arc;
@@ -24,6 +25,8 @@ use readback::Readback;
 #[cfg(test)]
 pub(crate) use resume::RESUME;
 use resume::Resume;
+use shares::Shares;
+pub use shares::{SHARE_BLOCK, SampleShares};
 use view::Slot;
 pub use view::{FrameImage, FrameWork, ViewFrame};
 
@@ -62,13 +65,15 @@ pub struct FrameTracer {
     /// Remade when what they hold has been replaced.
     bind_groups: Option<[wgpu::BindGroup; 2]>,
     bound_mesh_depth: Option<wgpu::TextureView>,
+    shares: Shares,
     resume: Resume,
     slots: Vec<Slot>,
     readback: Readback,
     counters: Counters,
     /// Counts how often an image has begun anew.
     beginnings: u64,
-    special_kernels: Option<(bool, FrameKernels)>,
+    /// With what they were compiled for: mesh depth, shares of samples.
+    special_kernels: Option<([bool; 2], FrameKernels)>,
     /// For tests.
     general_only: bool,
 }
@@ -108,6 +113,7 @@ impl FrameTracer {
             buffers,
             bind_groups: None,
             bound_mesh_depth: None,
+            shares: Shares::default(),
             resume,
             slots: Vec::new(),
             readback: Readback::new(gpu, size_of::<GpuCounters>() as u64)?,
@@ -208,6 +214,7 @@ impl FrameTracer {
         self.buffers = Buffers::new(&self.gpu, total, &self.options)?;
         self.resume = Resume::new(&self.gpu, &self.buffers)?;
         self.upload_medium()?;
+        self.shares.set_slots(rooms.len());
         let mut first_pixel = 0;
         self.slots = rooms
             .iter()
@@ -224,6 +231,28 @@ impl FrameTracer {
                 slot
             })
             .collect();
+        Ok(())
+    }
+
+    /// Takes how many of its samples each part of a view's image gets; without, each gets all. They
+    /// hold for images of their size. Where pixels appear or disappear by it, the view begins anew.
+    ///
+    /// # Errors
+    /// If the device has no room.
+    pub fn set_shares(
+        &mut self,
+        slot: usize,
+        shares: Option<&Arc<SampleShares>>,
+    ) -> Result<(), RenderError> {
+        let view = self.shares.view().cloned();
+        if self.shares.set(&self.gpu, slot, shares)?
+            && let Some(slot) = self.slots.get_mut(slot)
+        {
+            slot.view = None;
+        }
+        if self.shares.view() != view.as_ref() {
+            self.bind_groups = None;
+        }
         Ok(())
     }
 
@@ -280,8 +309,9 @@ impl FrameTracer {
 
     /// The variant for the present medium, or the general one until it is compiled.
     fn kernels(&mut self, mesh_depth: bool) -> Result<Option<FrameKernels>, RenderError> {
-        if let Some((with_depth, kernels)) = &self.special_kernels
-            && *with_depth == mesh_depth
+        let sample_shares = self.shares.are_there();
+        if let Some((compiled_for, kernels)) = &self.special_kernels
+            && *compiled_for == [mesh_depth, sample_shares]
             && !self.general_only
         {
             return Ok(Some(kernels.clone()));
@@ -291,6 +321,7 @@ impl FrameTracer {
             has_density: self.environment.has_density(),
             slices: self.volume.slices,
             mesh_depth,
+            sample_shares,
         };
         let get = |medium: &Medium, surroundings| {
             let defs = shader_defs(&self.gpu, medium, &self.options, surroundings);
@@ -301,7 +332,7 @@ impl FrameTracer {
         if let Some(kernels) = special
             && !self.general_only
         {
-            self.special_kernels = Some((mesh_depth, kernels.clone()));
+            self.special_kernels = Some(([mesh_depth, sample_shares], kernels.clone()));
             return Ok(Some(kernels));
         }
         get(
@@ -362,6 +393,7 @@ impl FrameTracer {
                 &self.majorants,
                 &self.environment,
                 mesh_depth,
+                self.shares.view(),
                 0..self.buffers.pixels(),
             )?);
         }
@@ -388,6 +420,11 @@ impl FrameTracer {
                     a[3].max(b[3]),
                 ]
             });
+        // Blocks that share their samples are workgroups.
+        let [left, top] = match self.shares.are_there() {
+            true => [left, top].map(|n| n / SHARE_BLOCK * SHARE_BLOCK),
+            false => [left, top],
+        };
         let tile_size = [right.saturating_sub(left), bottom.saturating_sub(top)];
         let uniform = DispatchUniform {
             tile_origin: [left, top],
@@ -425,10 +462,13 @@ impl FrameTracer {
             work.dispatches = 5;
         }
         drop(pass);
-        for view in &views {
+        for (slot, view) in views.iter().enumerate() {
             let samples = view.samples[1] - view.samples[0];
             let pixels = u64::from(view.image[0]) * u64::from(view.image[1]);
-            work.samples += pixels * u64::from(samples);
+            work.samples += match self.shares.of(slot) {
+                Some(shares) => shares.total(samples),
+                None => pixels * u64::from(samples),
+            };
         }
         self.readback.record(encoder, &self.buffers.counters);
         work
@@ -494,6 +534,7 @@ impl FrameTracer {
                 has_density: self.environment.has_density(),
                 slices: self.volume.slices,
                 mesh_depth: self.slots.iter().any(|slot| slot.mesh_depth.is_some()),
+                sample_shares: false,
             },
             mesh_depth: self.buffers.mesh_depth(self.bound_mesh_depth.as_ref()),
         }

@@ -10,6 +10,7 @@ use crate::frame::RESUME;
 use crate::majorant::MAJORANT;
 use crate::trace::TRACE;
 use crate::trace::contract::CONTRACT;
+use crate::view_depth::{VIEW_DEPTH, ViewDepthUniform};
 
 /// Definitions of a plain scene; the tests vary them.
 const PLAIN: &[(&str, u32)] = &[
@@ -25,6 +26,8 @@ const PLAIN: &[(&str, u32)] = &[
     ("SCATTER_CANDIDATES", 1),
     ("SLICES", 1),
     ("MESH_DEPTH", 0),
+    ("SAMPLE_SHARES", 0),
+    ("SHARE_BLOCK", 8),
     ("CLIP_PLANES", 0),
     ("CLIP_PLANES_MAX", 8),
     ("VIEWS_MAX", 8),
@@ -143,6 +146,22 @@ fn small_structs_lie_in_memory_as_their_kernels_read_them() {
             layers,
         }
     );
+    assert_same_layout!(
+        &VIEW_DEPTH,
+        &view_depth_defs(1),
+        "ViewDepth",
+        ViewDepthUniform { clip, place }
+    );
+}
+
+fn view_depth_defs(slices: u32) -> ShaderDefs {
+    let mut defs = with(&[
+        ("SLICES", slices),
+        ("TRANSFER_POINTS", 0),
+        ("CLIP_PLANES", 8),
+    ]);
+    defs.push(("LEAST_OPACITY_PERCENT", 5));
+    defs
 }
 
 fn validated(file: &ShaderFile, defs: &ShaderDefs) -> (naga::Module, ModuleInfo) {
@@ -178,6 +197,11 @@ fn every_variant_of_every_kernel_is_valid() {
     for flag in [0, 1] {
         validated(&MAJORANT, &vec![("CELL_SIZE", 8), ("SLICES", flag)]);
         validated(&DEPTH, &vec![("MULTISAMPLED", flag)]);
+        validated(&VIEW_DEPTH, &view_depth_defs(flag));
+    }
+    for slices in [0, 1] {
+        let changes = [("SAMPLE_SHARES", 1), ("MESH_DEPTH", 1), ("SLICES", slices)];
+        validated(&TRACE, &with(&changes));
     }
     validated(&RESUME, &resume_defs());
     validated(&COMPOSITE, &Vec::new());
@@ -205,6 +229,7 @@ fn kernels_translate_for_every_driver() {
         ("STATISTICS", 1),
         ("SUBGROUPS", 1),
         ("MESH_DEPTH", 1),
+        ("SAMPLE_SHARES", 1),
         ("CLIP_PLANES", 8),
     ]);
     let slices = |slices| vec![("CELL_SIZE", 8), ("SLICES", slices)];
@@ -293,7 +318,10 @@ fn to_msl(module: &naga::Module, info: &ModuleInfo, entry: &str) -> Result<(), S
 fn bindings_are_dense_and_within_webgpus_limits() {
     let limits = wgpu::Limits::default();
     let kernels = [
-        (&TRACE, with(&[("GUIDES", 1)])),
+        (
+            &TRACE,
+            with(&[("GUIDES", 1), ("MESH_DEPTH", 1), ("SAMPLE_SHARES", 1)]),
+        ),
         (&MAJORANT, vec![("CELL_SIZE", 8), ("SLICES", 0)]),
     ];
     for (file, defs) in kernels {
@@ -320,7 +348,10 @@ fn bindings_are_dense_and_within_webgpus_limits() {
 /// Names of the bound variables, in the order in which Rust lists their types.
 #[test]
 fn bindings_keep_the_order_of_the_layouts() {
-    let (module, _) = validated(&TRACE, &with(&[("GUIDES", 1), ("MESH_DEPTH", 1)]));
+    let (module, _) = validated(
+        &TRACE,
+        &with(&[("GUIDES", 1), ("MESH_DEPTH", 1), ("SAMPLE_SHARES", 1)]),
+    );
     let name = |wanted: u32| {
         let mut variables = module.global_variables.iter();
         variables.find_map(|(_, v)| match v.binding {

@@ -120,3 +120,5 @@ struct SavedPath {
 @group(0) @binding(14) var<uniform> views: array<View, #{VIEWS_MAX}>;
 // Metres along the camera's axis.
 @group(0) @binding(15) var mesh_depth_texture: texture_2d_array<f32>;
+// Of each view's samples those that a block of SHARE_BLOCK^2 pixels gets, of 255.
+@group(0) @binding(16) var shares_texture: texture_2d_array<u32>;

@@ -219,6 +219,7 @@ impl Tracer {
                     majorants,
                     light,
                     None,
+                    None,
                     start..end,
                 )?;
                 Ok(Band { rows, bind_groups })
@@ -229,6 +230,7 @@ impl Tracer {
             has_density: environment.has_density(),
             slices: volume.slices,
             mesh_depth: false,
+            sample_shares: false,
         };
         let defs = shader_defs(gpu, &medium, options, surroundings);
         let trace_pipeline = gpu.pipeline(&TRACE, &defs, "trace", &layout)?;

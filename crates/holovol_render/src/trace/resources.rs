@@ -9,7 +9,10 @@ use super::environment::GpuEnvironment;
 use super::uniforms::{DispatchUniform, MAX_VIEWS, SceneUniform, ViewUniform, transfer_points};
 use super::variant::{QUEUE_CAPACITY, SAVED_PATH_VECTORS};
 use super::{GpuCounters, Interpolation, Medium, TraceOptions};
-use crate::layout::{storage, texture_2d, texture_2d_array, texture_2d_uint, texture_3d, uniform};
+use crate::layout::{
+    storage, texture_2d, texture_2d_array, texture_2d_array_uint, texture_2d_uint, texture_3d,
+    uniform,
+};
 use crate::{Gpu, GpuVolume, MajorantGrid, RenderError};
 
 /// Two sums of four channels.
@@ -31,6 +34,8 @@ pub(crate) struct Buffers {
     pub(crate) field_sampler: wgpu::Sampler,
     /// 1 × 1, while no mesh is in the way.
     no_mesh_depth: wgpu::TextureView,
+    /// Likewise, while every pixel gets all samples.
+    no_shares: wgpu::TextureView,
 }
 
 impl Buffers {
@@ -59,16 +64,22 @@ impl Buffers {
                 Interpolation::Exact => wgpu::FilterMode::Nearest,
                 Interpolation::Hardware => wgpu::FilterMode::Linear,
             };
-            let no_mesh_depth = gpu.device.create_texture(&wgpu::TextureDescriptor {
-                label: Some("holovol no mesh depth"),
-                size: wgpu::Extent3d::default(),
-                mip_level_count: 1,
-                sample_count: 1,
-                dimension: wgpu::TextureDimension::D2,
-                format: wgpu::TextureFormat::R32Float,
-                usage: wgpu::TextureUsages::TEXTURE_BINDING,
-                view_formats: &[],
-            });
+            let nothing = |label, format| {
+                let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
+                    label: Some(label),
+                    size: wgpu::Extent3d::default(),
+                    mip_level_count: 1,
+                    sample_count: 1,
+                    dimension: wgpu::TextureDimension::D2,
+                    format,
+                    usage: wgpu::TextureUsages::TEXTURE_BINDING,
+                    view_formats: &[],
+                });
+                texture.create_view(&wgpu::TextureViewDescriptor {
+                    dimension: Some(wgpu::TextureViewDimension::D2Array),
+                    ..Default::default()
+                })
+            };
             let views = (MAX_VIEWS * size_of::<ViewUniform>()) as u64;
             Self {
                 scene: gpu.empty("holovol scene", size_of::<SceneUniform>() as u64, written),
@@ -94,10 +105,8 @@ impl Buffers {
                     min_filter: filter,
                     ..Default::default()
                 }),
-                no_mesh_depth: no_mesh_depth.create_view(&wgpu::TextureViewDescriptor {
-                    dimension: Some(wgpu::TextureViewDimension::D2Array),
-                    ..Default::default()
-                }),
+                no_mesh_depth: nothing("holovol no mesh depth", wgpu::TextureFormat::R32Float),
+                no_shares: nothing("holovol no shares", wgpu::TextureFormat::R8Uint),
             }
         })
     }
@@ -146,6 +155,7 @@ impl Buffers {
         majorants: &MajorantGrid,
         environment: &GpuEnvironment,
         mesh_depth: Option<&wgpu::TextureView>,
+        shares: Option<&wgpu::TextureView>,
         pixels: Range<u64>,
     ) -> Result<[wgpu::BindGroup; 2], RenderError> {
         let part = |buffer, bytes_per_pixel| {
@@ -160,6 +170,7 @@ impl Buffers {
             false => self.guides.as_entire_binding(),
         };
         let mesh_depth = self.mesh_depth(mesh_depth);
+        let shares = shares.unwrap_or(&self.no_shares);
         gpu.scoped("the image", 0, || {
             [[0, 1], [1, 0]].map(|[resumed, saved]: [usize; 2]| {
                 let resources = [
@@ -179,6 +190,7 @@ impl Buffers {
                     guides(),
                     self.views.as_entire_binding(),
                     wgpu::BindingResource::TextureView(mesh_depth),
+                    wgpu::BindingResource::TextureView(shares),
                 ];
                 gpu.bind_group("holovol trace", layout, resources)
             })
@@ -218,6 +230,7 @@ pub(crate) fn layout(
         storage(false),
         uniform(),
         texture_2d_array(false),
+        texture_2d_array_uint(),
     ];
     gpu.bind_group_layout("holovol trace", &entries)
 }

@@ -23,6 +23,7 @@ pub(crate) const BINDINGS: &[&str] = &[
     "guides",
     "views",
     "mesh_depth_texture",
+    "shares_texture",
 ];
 
 #[test]

@@ -8,7 +8,7 @@
 
 #import holovol_render::bindings::{
     scene, views, dispatch, accumulators, counters, guides, resumed, saved, SavedPath,
-    mesh_depth_texture,
+    mesh_depth_texture, shares_texture,
 }
 #import holovol_render::random::{pcg3d, sobol_pair, unit_float, unit_float_pair, unit_float_triple}
 #import holovol_render::field::{field_at, field_gradient}
@@ -40,6 +40,8 @@ const MANY_COLLISIONS: u32 = 1024u;
 const PICKS: u32 = #{PICKS}u;
 // A saved path keeps its pick in the bits below.
 const VIEW_SHIFT: u32 = 8u;
+// Pixels along a side of a block that shares its samples.
+const SHARE_BLOCK: u32 = #{SHARE_BLOCK}u;
 const FOLD_SAMPLES: u32 = #{FOLD_SAMPLES}u;
 // Well-spread dimensions: pixel position, first collision, and from here two for each scattering.
 const DIMENSION_PIXEL: u32 = 0u;
@@ -176,6 +178,15 @@ fn start_sample(path: ptr<function, Path>) {
     }
 }
 
+#if SAMPLE_SHARES == 1
+// Samples that a pixel gets of those that its view is given.
+fn own_samples(view: u32, pixel: vec2<u32>) -> u32 {
+    let given = views[view].samples.y - views[view].samples.x;
+    let share = textureLoad(shares_texture, pixel / SHARE_BLOCK, view, 0).x;
+    return (given * share + 254u) / 255u;
+}
+#endif
+
 fn is_finite(x: f32) -> bool {
     return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u;
 }
@@ -187,6 +198,13 @@ fn finish_sample(path: ptr<function, Path>) {
         value = vec4<f32>(0.0);
         atomicAdd(&counters.nonfinite_samples, 1u);
     }
+#if SAMPLE_SHARES == 1
+    // Fewer samples weigh more: the image is divided by those that its view is given.
+    let view = (*path).view;
+    let width = views[view].image.x;
+    let own = own_samples(view, vec2<u32>((*path).pixel % width, (*path).pixel / width));
+    value *= f32(views[view].samples.y - views[view].samples.x) / f32(max(own, 1u));
+#endif
     let recent = 2u * (views[(*path).view].image.z + (*path).pixel);
     let sum = accumulators[recent] + value;
     (*path).sample += 1u;
@@ -561,6 +579,10 @@ fn trace(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     path.pixel = pixel.x + image.x * pixel.y;
     path.sample = samples.x;
     path.sample_end = samples.y;
+#if SAMPLE_SHARES == 1
+    // The last ones: sums are folded where the view's samples end.
+    path.sample = samples.y - own_samples(group.z, pixel);
+#endif
     run(path);
 }
 

@@ -40,7 +40,7 @@ fn light_candidates(medium: &Medium, has_density: bool) -> [u32; 2] {
 }
 
 /// What decides the variant besides the medium and the options.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Surroundings {
     pub(crate) constant_environment: bool,
     pub(crate) has_density: bool,
@@ -48,6 +48,8 @@ pub(crate) struct Surroundings {
     pub(crate) slices: bool,
     /// Paths end at meshes.
     pub(crate) mesh_depth: bool,
+    /// Parts of an image get fewer samples.
+    pub(crate) sample_shares: bool,
 }
 
 pub(crate) fn shader_defs(
@@ -88,6 +90,8 @@ pub(crate) fn shader_defs(
         ("SCATTER_CANDIDATES", scatter),
         ("SLICES", u32::from(surroundings.slices)),
         ("MESH_DEPTH", u32::from(surroundings.mesh_depth)),
+        ("SAMPLE_SHARES", u32::from(surroundings.sample_shares)),
+        ("SHARE_BLOCK", crate::frame::SHARE_BLOCK),
         ("CLIP_PLANES", medium.clip_planes.len() as u32),
         ("CLIP_PLANES_MAX", Medium::MAX_CLIP_PLANES as u32),
         ("VIEWS_MAX", MAX_VIEWS as u32),

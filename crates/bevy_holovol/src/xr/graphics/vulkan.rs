@@ -307,6 +307,8 @@ impl Api for Vulkan {
             TextureFormat::Rgba8UnormSrgb => vk::Format::R8G8B8A8_SRGB,
             TextureFormat::Bgra8UnormSrgb => vk::Format::B8G8R8A8_SRGB,
             TextureFormat::Rgba16Float => vk::Format::R16G16B16A16_SFLOAT,
+            TextureFormat::Depth32Float => vk::Format::D32_SFLOAT,
+            TextureFormat::Depth16Unorm => vk::Format::D16_UNORM,
             _ => return None,
         };
         u32::try_from(format.as_raw()).ok()
@@ -324,6 +326,11 @@ impl Api for Vulkan {
             height,
             depth_or_array_layers: 2,
         };
+        let drawn = if format.has_depth_aspect() {
+            wgpu::TextureUses::DEPTH_STENCIL_WRITE
+        } else {
+            wgpu::TextureUses::COLOR_TARGET
+        };
         let hal_descriptor = hal::TextureDescriptor {
             label: Some("holovol headset"),
             size,
@@ -331,7 +338,7 @@ impl Api for Vulkan {
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
             format,
-            usage: wgpu::TextureUses::COLOR_TARGET | wgpu::TextureUses::COPY_SRC,
+            usage: drawn | wgpu::TextureUses::COPY_SRC,
             memory_flags: hal::MemoryFlags::empty(),
             view_formats: Vec::new(),
         };

@@ -1,17 +1,31 @@
-// Maps the tones of a whole view that is laid over the room: colours are mapped as they are where
-// they are opaque, and made faint again by their opacity. Mapping premultiplied colours instead
-// brightens or darkens every edge.
+// Passes over whole images: copies of an eye's image, and the tones of views that are laid over the
+// room.
 
 @group(0) @binding(0) var source: texture_2d<f32>;
+@group(0) @binding(1) var linear: sampler;
 
 // Light is added to the room's: opacity can't hold any of it back, and says nothing.
 override is_additive: bool = false;
 
+struct Corner {
+    @builtin(position) position: vec4<f32>,
+    @location(0) uv: vec2<f32>,
+}
+
 @vertex
-fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
+fn vertex(@builtin(vertex_index) index: u32) -> Corner {
     // One triangle over all.
-    let corner = vec2<f32>(f32(index & 1u), f32(index >> 1u));
-    return vec4<f32>(4.0 * corner - 1.0, 0.0, 1.0);
+    let corner = 2.0 * vec2<f32>(f32(index & 1u), f32(index >> 1u));
+    var result: Corner;
+    result.position = vec4<f32>(2.0 * corner - 1.0, 0.0, 1.0);
+    result.uv = vec2<f32>(corner.x, 1.0 - corner.y);
+    return result;
+}
+
+// Whatever the sizes and formats.
+@fragment
+fn copy(corner: Corner) -> @location(0) vec4<f32> {
+    return textureSampleLevel(source, linear, corner.uv, 0.0);
 }
 
 // Khronos PBR Neutral Tone Mapper, specification 1.0: keeps base colours up to START, compresses
@@ -33,9 +47,11 @@ fn neutral(color_in: vec3<f32>) -> vec3<f32> {
     return mix(color * new_peak / peak, vec3<f32>(new_peak), g);
 }
 
+// Colours are mapped as they are where they are opaque, and made faint again by their opacity.
+// Mapping premultiplied colours instead brightens or darkens every edge.
 @fragment
-fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
-    let view = textureLoad(source, vec2<i32>(position.xy), 0);
+fn room(corner: Corner) -> @location(0) vec4<f32> {
+    let view = textureLoad(source, vec2<i32>(corner.position.xy), 0);
     let opacity = clamp(view.a, 0.0, 1.0);
     // What shines without hiding anything has its colour as it is.
     let weight = select(1.0, opacity, opacity > 1e-4);
