@@ -34,6 +34,10 @@ fn main() {
         ),
         test("denoise_lowers_the_error", denoise_lowers_the_error),
         test("demo_makes_a_picture", demo_makes_a_picture),
+        test(
+            "every_kind_of_file_is_told_and_rendered",
+            every_kind_of_file_is_told_and_rendered,
+        ),
     ];
     libtest_mimic::run(&args, trials).exit();
 }
@@ -165,4 +169,63 @@ fn demo_makes_a_picture() {
     let text = bench.output(&["demo", "--out", "d.png", "--size", "64", "--spp", "2"]);
     assert!(text.contains("d.png"), "{text}");
     assert!(exists(&bench.path("d.png")));
+}
+
+/// The phantoms of the volume crate, written by other libraries: 5 × 4 × 3 voxels of
+/// 0.7 × 1.9 × 3.1 mm, or µm, or m.
+const KINDS: [(&str, Option<&str>, f64); 21] = [
+    ("itk.nii", None, 1e-3),
+    ("itk.hdr", None, 1e-3),
+    ("itk.nrrd", None, 1e-3),
+    ("numbered.nhdr", None, 1e-3),
+    ("itk.mhd", None, 1e-3),
+    ("itk.mha", None, 1e-3),
+    ("list.mhd", None, 1e-3),
+    ("dicom_explicit", None, 1e-3),
+    ("dicom_deflated", None, 1e-3),
+    ("dicom_tilted", None, 1e-3),
+    ("dicom_jpeg", None, 1e-3),
+    ("dicom_jpegls", None, 1e-3),
+    ("dicom_jpeg2000", None, 1e-3),
+    ("dicom_enhanced.dcm", None, 1e-3),
+    ("dicom_zip.zip", None, 1e-3),
+    ("half.vdb", None, 1.0),
+    ("several.vdb", Some("marked"), 1.0),
+    ("ome.ome.tif", None, 1e-6),
+    ("channels.ome.tif", Some("marked"), 1e-6),
+    ("imagej.tif", None, 1e-6),
+    ("sidecar.raw", None, 1e-3),
+];
+
+fn every_kind_of_file_is_told_and_rendered() {
+    let bench = Bench::new();
+    let phantoms = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../holovol_volume/tests/phantoms/formats")
+        .canonicalize()
+        .unwrap();
+    for (name, choice, metres) in KINDS {
+        let path = phantoms.join(name);
+        let path = path.to_str().unwrap();
+        let mut info = vec!["info", path];
+        info.extend(choice.iter().flat_map(|choice| ["--choice", choice]));
+        let told = bench.output(&info);
+        assert!(told.contains("5 × 4 × 3"), "{name}: {told}");
+
+        let mut scene = support::scene();
+        scene["volume"] = serde_json::json!({ "path": path, "window": [0, 200] });
+        if let Some(choice) = choice {
+            scene["volume"]["choice"] = choice.into();
+        }
+        // About 12 units across, an optical depth of a few.
+        scene["transfer_function"]["points"][0]["sigma_t"] = (0.2 / metres).into();
+        scene["transfer_function"]["points"][1]["sigma_t"] = (2.0 / metres).into();
+        scene["camera"]["eye"] = serde_json::json!([0.0, 0.0, 40.0 * metres]);
+        scene["camera"]["width"] = 32.into();
+        scene["camera"]["height"] = 32.into();
+        bench.write_scene("kind.json", &scene);
+        let line = bench.json(&["render", "kind.json", "--out", "kind.exr", "--spp", "4"]);
+        let opacity = line["mean_opacity"].as_f64().unwrap();
+        assert!((0.02..0.9).contains(&opacity), "{name}: {opacity}");
+        assert!(line["mean_rgb"][0].as_f64().unwrap() > 0.01, "{name}");
+    }
 }

@@ -4,6 +4,9 @@
 //!
 //! For each: seconds and megabytes of voxels per second, the best of some runs with a warm cache;
 //! likewise for the bytes alone (`cat` into memory; for gzip, flate2 over them), and the ratio.
+//!
+//! With `-` in place of files, reads the volume that each line of the standard input names, once,
+//! and prints its seconds: `tests/expected/speed.py` takes turns with others' work so.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -49,7 +52,22 @@ fn bytes_alone(files: &[PathBuf]) -> usize {
     size
 }
 
-fn main() {
+/// Reads what the lines of the standard input name.
+fn serve() -> std::io::Result<()> {
+    for line in std::io::stdin().lines() {
+        let path = PathBuf::from(line?);
+        let start = Instant::now();
+        let volume = holovol_volume::open(&path, &mut |_| {}).map_err(std::io::Error::other)?;
+        println!("{:.6}", start.elapsed().as_secs_f64());
+        drop(volume);
+    }
+    Ok(())
+}
+
+fn main() -> std::io::Result<()> {
+    if std::env::args_os().nth(1).is_some_and(|name| name == "-") {
+        return serve();
+    }
     println!(
         "{:>10} {:>8} {:>10} {:>8} {:>6}",
         "read, s", "MB/s", "bytes, s", "MB/s", "ratio"
@@ -73,4 +91,5 @@ fn main() {
             path.display()
         );
     }
+    Ok(())
 }

@@ -1,5 +1,5 @@
 use std::collections::TryReserveError;
-use std::io::Read;
+use std::io::{BufRead, Read};
 
 use bytemuck::{Pod, Zeroable};
 
@@ -154,22 +154,19 @@ impl<'b> Reading<'_, 'b> {
         piece: &mut [T],
         swap_bytes: impl Fn(T) -> T,
     ) -> Result<(), VolumeError> {
-        if self.cancel.is_cancelled() {
-            return Err(VolumeError::Cancelled {
-                path: self.input.path().into(),
-            });
-        }
+        self.check_cancelled()?;
+        let mut filled = 0;
         let mut rest: &mut [u8] = bytemuck::cast_slice_mut(piece);
         while !rest.is_empty() {
             match self.input.read(rest) {
-                Ok(0) => return Err(self.truncated()),
+                Ok(0) => return Err(self.truncated(filled)),
                 Ok(bytes) => {
-                    self.done_bytes += bytes as u64;
+                    filled += bytes as u64;
                     rest = rest.get_mut(bytes..).unwrap_or_default();
                 }
                 Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
                 Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => {
-                    return Err(self.truncated());
+                    return Err(self.truncated(filled));
                 }
                 Err(error) => return Err(VolumeError::decoding(self.input.path(), error)),
             }
@@ -179,23 +176,16 @@ impl<'b> Reading<'_, 'b> {
                 *number = swap_bytes(*number);
             }
         }
-        if self.done_bytes - self.told_bytes >= PROGRESS_BYTES
-            || self.done_bytes == self.total_bytes
-        {
-            self.told_bytes = self.done_bytes;
-            (self.progress)(Progress {
-                bytes: self.done_bytes,
-                total_bytes: self.total_bytes,
-            });
-        }
+        self.tell(filled);
         Ok(())
     }
 
-    fn truncated(&self) -> VolumeError {
+    /// The error where the input ends, `more` bytes after the last ones that were counted.
+    fn truncated(&self, more: u64) -> VolumeError {
         VolumeError::Truncated {
             path: self.input.path().into(),
             expected: self.total_bytes,
-            available: self.done_bytes,
+            available: self.done_bytes + more,
         }
     }
 
@@ -285,15 +275,88 @@ impl<'b> Reading<'_, 'b> {
         {
             return self.same_type_from(&source, at, swap_bytes);
         }
-        let mut numbers = Vec::new();
+        let mut numbers: Vec<T> = Vec::new();
         while numbers.len() < self.total {
             let done = numbers.len();
-            let piece = (self.total - done).min(CHUNK_BYTES / size_of::<T>());
-            self.reserve(&mut numbers, piece)?;
-            numbers.resize(done + piece, T::zeroed());
-            self.fill(numbers.get_mut(done..).unwrap_or_default(), &swap_bytes)?;
+            // Straight out of the unpacking thread's buffer, into memory that is touched once.
+            let wanted = (self.total - done) * size_of::<T>();
+            let there = match self.input.fill_buf() {
+                Ok(buffer) => buffer.len().min(wanted) / size_of::<T>(),
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => 0,
+                Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => {
+                    return Err(self.truncated(0));
+                }
+                Err(error) => return Err(VolumeError::decoding(self.input.path(), error)),
+            };
+            if there > 0 {
+                self.reserve(&mut numbers, there)?;
+                self.append(&mut numbers, there, &swap_bytes)?;
+                continue;
+            }
+            // A number that lies in two buffers, or the end.
+            let mut number = [T::zeroed()];
+            self.fill(&mut number, &swap_bytes)?;
+            self.reserve(&mut numbers, 1)?;
+            numbers.extend(number);
         }
         Ok(numbers)
+    }
+
+    /// Appends `count` numbers that the input's buffer holds.
+    fn append<T: Pod>(
+        &mut self,
+        numbers: &mut Vec<T>,
+        count: usize,
+        swap_bytes: impl Fn(T) -> T,
+    ) -> Result<(), VolumeError> {
+        self.check_cancelled()?;
+        let path = self.input.path().to_path_buf();
+        let buffer = self
+            .input
+            .fill_buf()
+            .map_err(|error| VolumeError::decoding(&path, error))?;
+        let bytes = count * size_of::<T>();
+        let bytes = buffer.get(..bytes).unwrap_or_default();
+        let done = numbers.len();
+        match bytemuck::try_cast_slice(bytes) {
+            Ok(aligned) => numbers.extend_from_slice(aligned),
+            Err(_) => {
+                let each = bytes.chunks_exact(size_of::<T>());
+                numbers.extend(each.map(bytemuck::pod_read_unaligned::<T>));
+            }
+        }
+        let bytes = bytes.len();
+        self.input.consume(bytes);
+        if self.swap && size_of::<T>() > 1 {
+            for number in numbers.iter_mut().skip(done) {
+                *number = swap_bytes(*number);
+            }
+        }
+        self.tell(bytes as u64);
+        Ok(())
+    }
+
+    fn check_cancelled(&self) -> Result<(), VolumeError> {
+        if self.cancel.is_cancelled() {
+            return Err(VolumeError::Cancelled {
+                path: self.input.path().into(),
+            });
+        }
+        Ok(())
+    }
+
+    /// Counts bytes, and tells the progress now and then.
+    fn tell(&mut self, bytes: u64) {
+        self.done_bytes += bytes;
+        if self.done_bytes - self.told_bytes >= PROGRESS_BYTES
+            || self.done_bytes == self.total_bytes
+        {
+            self.told_bytes = self.done_bytes;
+            (self.progress)(Progress {
+                bytes: self.done_bytes,
+                total_bytes: self.total_bytes,
+            });
+        }
     }
 
     fn narrowed<T: WideNumber>(

@@ -231,9 +231,7 @@ impl<'a> Input<'a> {
     /// The unpacked content from here on, whether or not it begins like a gzip stream.
     pub fn gunzip(self) -> Self {
         let stream = match self.read_ahead() {
-            Some(ahead) => {
-                Box::new(BufReader::with_capacity(BUFFER_BYTES, ahead)) as Box<dyn BufRead>
-            }
+            Some(ahead) => Box::new(ahead) as Box<dyn BufRead>,
             None => {
                 let decoder = GzipMembers(Some(GzDecoder::new(self.stream)));
                 Box::new(BufReader::with_capacity(BUFFER_BYTES, decoder))
@@ -262,7 +260,7 @@ impl<'a> Input<'a> {
         let packed = Source::File(file, length).cursor(at);
         let packed = BufReader::with_capacity(BUFFER_BYTES, packed);
         // Without a thread it goes, too.
-        ReadAhead::new(GzipMembers(Some(GzDecoder::new(packed)))).ok()
+        ReadAhead::gunzip(packed).ok()
     }
 
     /// The same, unpacked if it is a gzip stream.

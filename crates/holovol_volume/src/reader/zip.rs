@@ -153,10 +153,18 @@ impl<'a> ZipFiles<'a> {
         })
     }
 
-    /// The only member that is named like a volume of another format.
+    /// The only member that is named like a volume of another format. Beside each file, macOS
+    /// archives one named `._…` that holds none.
     fn volume_file(&self) -> Option<usize> {
         let is_volume = |name: &str| {
             let name = name.to_lowercase();
+            if name
+                .rsplit('/')
+                .next()
+                .is_some_and(|own| own.starts_with("._"))
+            {
+                return false;
+            }
             readers()
                 .iter()
                 .filter(|reader| !matches!(reader.name(), "DICOM" | "ZIP"))

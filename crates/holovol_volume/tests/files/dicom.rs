@@ -264,6 +264,13 @@ fn slices_with_scalings_of_their_own_agree() {
 }
 
 #[test]
+fn doses_are_scaled() {
+    let slice = |z: f64| Slice::at(z, [8; 4]).with_text(0x3004_000e, "0.25");
+    let volume = Study::new(&[slice(0.0), slice(1.0)]).volume();
+    assert_eq!(volume.range(), [2.0, 2.0]);
+}
+
+#[test]
 fn what_is_wrong_is_named_without_the_patient() {
     let good = |z: f64| Slice::at(z, [1; 4]);
     for (slice, parts) in [

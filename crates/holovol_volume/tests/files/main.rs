@@ -5,6 +5,7 @@ mod changing;
 mod damaged;
 mod dicom;
 mod formats;
+mod many;
 mod nifti;
 mod nrrd;
 mod open;

@@ -1,6 +1,7 @@
 //! Finding the format, and what goes wrong around a file rather than in it.
 
 use std::fs;
+use std::io::Write;
 use std::path::Path;
 
 use holovol_volume::{ReadOptions, open, open_with};
@@ -141,4 +142,47 @@ fn the_limit_on_voxel_bytes_holds() {
         text.contains("6 bytes") && text.contains("limit of 5"),
         "{text}"
     );
+}
+
+#[test]
+fn what_macos_adds_to_archives_is_no_second_volume() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("a.zip");
+    let volume = Nifti::new(false, false, 4, &[3], &[1i16, 2, 3]).bytes();
+    let mut archive = zip::ZipWriter::new(fs::File::create(&path).expect("new"));
+    for (name, bytes) in [
+        ("x/a.nii", volume.as_slice()),
+        ("__MACOSX/x/._a.nii", b"\0\x05\x16\x07"),
+    ] {
+        let options = zip::write::SimpleFileOptions::default()
+            .compression_method(zip::CompressionMethod::Deflated);
+        archive.start_file(name, options).expect("written");
+        archive.write_all(bytes).expect("written");
+    }
+    archive.finish().expect("written");
+    let volume = open(&path, &mut |_| {}).unwrap_or_else(|error| panic!("{error}"));
+    assert_eq!(values(&volume), [1.0, 2.0, 3.0]);
+}
+
+#[test]
+fn compressions_of_tiff_that_are_not_read_are_named() {
+    let bytes = fs::read(crate::formats::folder().join("white.tif")).expect("the phantom");
+    let entry = [3, 1, 3, 0, 1, 0, 0, 0];
+    for (number, name) in [
+        (34_925u16, "LZMA"),
+        (50_000, "Zstandard"),
+        (7, "JPEG"),
+        (999, "number 999"),
+    ] {
+        let mut bytes = bytes.clone();
+        let places: Vec<usize> = (0..bytes.len() - 8)
+            .filter(|&at| bytes[at..at + 8] == entry)
+            .collect();
+        assert_eq!(places.len(), 3, "one for each page");
+        for at in places {
+            bytes[at + 8..at + 10].copy_from_slice(&number.to_le_bytes());
+        }
+        let text = crate::bytes::message(&bytes);
+        assert!(text.contains(name) && text.contains("save it"), "{text}");
+    }
 }

@@ -298,6 +298,8 @@ impl HeaderReader {
         let groups = dataset.items(tags::FRAME_GROUPS);
         let offsets = self.numbers(dataset, tags::GRID_FRAME_OFFSETS)?;
         let detector = dataset.item(tags::DETECTOR_SEQUENCE);
+        // Doses have a scaling under a name of its own.
+        let dose = self.number(dataset, tags::DOSE_GRID_SCALING)?;
         let mut frames = Vec::new();
         for index in 0..count {
             let own = groups.get(index).unwrap_or(&nothing);
@@ -366,6 +368,7 @@ impl HeaderReader {
                     self.number(transform, tags::RESCALE_SLOPE)?,
                     tags::RESCALE_SLOPE,
                 )?
+                .or(dose)
                 .filter(|&slope| slope != 0.0)
                 .unwrap_or(1.0),
                 intercept: or_top(

@@ -197,6 +197,13 @@ impl<'a> Stack<'a> {
             .and_then(|offsets| offsets.first().copied());
         let compression: Option<u16> = decoder.find_tag_unsigned(Tag::Compression).ok().flatten();
         let compression = compression.unwrap_or(1);
+        if let Some(name) = tables::unread_compression(compression) {
+            return Err(VolumeError::Unsupported {
+                path,
+                what: format!("its pages are compressed with {name}"),
+                way_out: "save it uncompressed, or with deflate (ZIP), LZW or PackBits".into(),
+            });
+        }
         let big_endian = decoder.byte_order() == tiff::tags::ByteOrder::BigEndian;
 
         let mut pages = vec![0];

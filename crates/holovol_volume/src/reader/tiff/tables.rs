@@ -231,6 +231,22 @@ fn check_page(entries: &[Entry], length: u64) -> Result<(), Problem> {
     Ok(())
 }
 
+/// The name of a compression that can't be read.
+pub(super) fn unread_compression(compression: u16) -> Option<String> {
+    let name = match compression {
+        1 | 5 | 8 | 32_773 | 32_946 => return None,
+        2..=4 => "a fax code",
+        6 | 7 | 33_003 | 33_005 | 34_712 => "JPEG or JPEG 2000",
+        34_887 => "LERC",
+        34_925 => "LZMA",
+        50_000 => "Zstandard",
+        50_001 | 34_927 => "WebP",
+        50_002 | 52_546 => "JPEG XL",
+        other => return Some(format!("number {other}, which is not known")),
+    };
+    Some(name.into())
+}
+
 /// How many bytes of pixels a file of `length` bytes may at most hold.
 pub(super) fn most_unpacked(length: u64, compression: u16) -> u64 {
     let ratio = match compression {
@@ -240,9 +256,7 @@ pub(super) fn most_unpacked(length: u64, compression: u16) -> u64 {
         // Deflate, under two numbers.
         8 | 32_946 => super::super::input::DEFLATE_RATIO_MAX,
         // PackBits: a run of 128 in two bytes.
-        32_773 => 64,
-        // JPEG and others: two bits for a block of 8 × 8.
-        _ => 4096,
+        _ => 64,
     };
     length.saturating_mul(ratio)
 }
