@@ -59,7 +59,8 @@ use bevy::app::{PluginGroup, PluginGroupBuilder};
 
 pub use clip_plane::VolumeClipPlane;
 pub use environment::{
-    EnvironmentAsset, EnvironmentSource, VolumeEnvironment, VolumeEnvironmentPlugin, WithoutSky,
+    EnvironmentAsset, EnvironmentSource, LiveCamera, LiveFrame, LiveLight, LiveLightPlugin,
+    LivePicture, VolumeEnvironment, VolumeEnvironmentPlugin, WithoutSky,
 };
 pub use holovol_render::{Counters, MAX_VIEWS};
 pub use interaction::{Graspable, InteractionPlugin};
@@ -76,9 +77,9 @@ pub use volume::{
 /// All that most apps use.
 pub mod prelude {
     pub use crate::{
-        EnvironmentAsset, EnvironmentSource, Graspable, HolovolPlugins, TransferFunctionAsset,
-        Volume3d, VolumeAsset, VolumeClipPlane, VolumeEnvironment, VolumeFiles, VolumeMaterial3d,
-        VolumeMedium, VolumeRenderMode, VolumeRenderSettings,
+        EnvironmentAsset, EnvironmentSource, Graspable, HolovolPlugins, LiveLight, LiveLightPlugin,
+        TransferFunctionAsset, Volume3d, VolumeAsset, VolumeClipPlane, VolumeEnvironment,
+        VolumeFiles, VolumeMaterial3d, VolumeMedium, VolumeRenderMode, VolumeRenderSettings,
     };
 }
 
@@ -90,6 +91,8 @@ pub mod prelude {
 /// | [`TransferFunctionPlugin`] | [`VolumeMaterial3d`], loader of `*.tf.json` |
 /// | [`VolumeEnvironmentPlugin`] | [`VolumeEnvironment`], its light and sky for meshes |
 /// | [`VolumeRenderPlugin`] | [`VolumeRenderSettings`]: the path tracer in Bevy's frame |
+///
+/// [`LiveLightPlugin`], which follows a 360° camera, is added apart.
 pub struct HolovolPlugins;
 
 impl PluginGroup for HolovolPlugins {

@@ -4,6 +4,7 @@ mod app;
 mod assets;
 mod frame;
 mod light;
+mod live;
 mod meshes;
 mod scenes;
 
@@ -22,6 +23,7 @@ fn main() {
         assets::TESTS,
         frame::TESTS,
         light::TESTS,
+        live::TESTS,
         meshes::TESTS,
         scenes::TESTS,
     ]
