@@ -6,9 +6,7 @@ mod imagined;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::estimate::{
-    Estimator, Evidence, Exposure, Meter, Observation, Prior, ProbeSample, unseen,
-};
+use crate::estimate::{Estimator, Evidence, Exposure, Meter, Observation, Prior, ProbeSample};
 use crate::measure::{FluxCells, LightError512, Truth, normals};
 use crate::response::{linear_to_srgb, srgb_to_linear};
 use crate::{EnvironmentMap, Grid, luminance};
@@ -297,8 +295,7 @@ pub fn fit(cases: &[(&Case, &[Observation])]) -> Prior {
     if !points.is_empty() {
         // What the gain was before it levelled off.
         let straight = |p: &[f64; 5]| p[1] / (1.0 - p[1] / p[4]).max(0.1);
-        let factor = |p: &[f64; 5]| 1.0 + (straight(p) / p[0] - 1.0) / unseen(p[0]);
-        let pairs = points.iter().map(|p| (factor(p), p[2] * unseen(p[0])));
+        let pairs = points.iter().map(|p| (straight(p) / p[0], p[2]));
         prior.gain = weighted_median(pairs.collect());
         let off = |p: &[f64; 5]| (p[1] - prior.gain_of(p[0], p[4])).powi(2) / p[0];
         let weights: f64 = points.iter().map(|p| p[3]).sum();

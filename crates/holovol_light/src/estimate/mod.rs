@@ -26,7 +26,6 @@ pub use found::{FoundLight, find_lights};
 pub use merge::{CLIPPED, Exposure};
 pub use observe::Observation;
 pub use prior::Prior;
-pub(crate) use prior::unseen;
 pub use regions::Region;
 pub use sky::Sky;
 

@@ -12,7 +12,7 @@ pub struct Prior {
     pub sun_over_sky: f64,
     /// One standard deviation of [`Self::sun_over_sky`] for a sun at the zenith; not fitted.
     pub sun_sigma: f64,
-    /// A clipped region's gain over that of its [`exponential_gain`], where its edge is sharp.
+    /// A clipped region's gain over that of [`exponential_gain`].
     pub gain: f64,
     /// One standard deviation of the gain of a region whose [`exponential_gain`] is 1 EV.
     pub gain_sigma: f64,
@@ -25,9 +25,9 @@ impl Default for Prior {
         Self {
             sun_over_sky: 2.288,
             sun_sigma: 0.6,
-            gain: 2.545,
-            gain_sigma: 2.202,
-            sigma_scale: [1.12, 1.52, 0.8, 0.8, 0.53],
+            gain: 2.161,
+            gain_sigma: 2.265,
+            sigma_scale: [1.25, 1.52, 0.8, 0.8, 0.53],
         }
     }
 }
@@ -47,11 +47,6 @@ const BRIGHTEST: f64 = 11.0;
 pub(super) fn exponential_gain(halo: f64, clipped: f64) -> f64 {
     let growth = (halo / clipped).log2().max(0.0) + SHARPEST;
     (1.0 + 0.5 / (growth * LN_2)).log2()
-}
-
-/// How little of a light its halo tells, 0 … 1.
-pub(crate) fn unseen(exponential: f64) -> f64 {
-    1.0 - (-exponential).exp()
 }
 
 /// Gain that no light above this ceiling has, EV: what even a dark exposure clips can't have much
