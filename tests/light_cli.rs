@@ -193,6 +193,14 @@ fn depth_and_colour_kinds_are_read() {
     let (_, found) = light(&bench, "grey.jpg");
     let [r, g, b] = found.texel(5, 5);
     assert!(r == g && g == b && (r - 0.127).abs() < 0.005, "{r}");
+    // C, M, Y, K of 0, 64, 128 and 100 in 255, as printers' programs save them.
+    bench.write("ink.jpg", include_bytes!("support/cmyk.jpg"));
+    let (_, found) = light(&bench, "ink.jpg");
+    let paper = [0.0, 64.0, 128.0].map(|ink| (1.0 - ink / 255.0) * (1.0 - 100.0 / 255.0));
+    for (found, expected) in found.texel(5, 5).into_iter().zip(paper) {
+        let expected = holovol_light::response::srgb_to_linear(expected) as f32;
+        assert!((found - expected).abs() < 0.02, "{found} for {expected}");
+    }
 }
 
 #[test]
@@ -235,11 +243,17 @@ fn what_can_not_be_read_or_does_not_fit_is_told() {
     let bytes = std::fs::read(bench.path("room.png")).unwrap();
     bench.write("cut.png", &bytes[..bytes.len() / 2]);
     bench.write("text.png", b"not a picture");
+    let mut jpeg = Vec::new();
+    JpegEncoder::new(&mut jpeg)
+        .encode_image(&room(0.0))
+        .unwrap();
+    bench.write("cut.jpg", &jpeg[..jpeg.len() / 3]);
     let out = ["--out", "env.exr"];
     let args = |more: &[&'static str]| -> Vec<&'static str> {
         ["light"].iter().chain(more).chain(&out).copied().collect()
     };
     refused(&bench, &args(&["--ldr", "cut.png"]), 3, &["cut.png"]);
+    refused(&bench, &args(&["--ldr", "cut.jpg"]), 3, &["cut.jpg"]);
     refused(
         &bench,
         &args(&["--ldr", "text.png"]),

@@ -60,7 +60,8 @@ use bevy::app::{PluginGroup, PluginGroupBuilder};
 
 pub use clip_plane::VolumeClipPlane;
 pub use environment::{
-    EnvironmentAsset, EnvironmentSource, VolumeEnvironment, VolumeEnvironmentPlugin, WithoutSky,
+    EnvironmentAsset, EnvironmentSource, LiveCamera, LiveFrame, LiveLight, LiveLightPlugin,
+    LivePicture, VolumeEnvironment, VolumeEnvironmentPlugin, WithoutSky,
 };
 pub use holovol_render::{Counters, MAX_VIEWS};
 pub use interaction::{Graspable, InteractionPlugin};
@@ -77,8 +78,8 @@ pub use volume::{
 /// All that most apps use.
 pub mod prelude {
     pub use crate::{
-        EnvironmentAsset, EnvironmentSource, Graspable, HolovolPlugins, RightEyeOf,
-        TransferFunctionAsset, Volume3d, VolumeAsset, VolumeClipPlane, VolumeDenoiser,
+        EnvironmentAsset, EnvironmentSource, Graspable, HolovolPlugins, LiveLight, LiveLightPlugin,
+        RightEyeOf, TransferFunctionAsset, Volume3d, VolumeAsset, VolumeClipPlane, VolumeDenoiser,
         VolumeEnvironment, VolumeFiles, VolumeMaterial3d, VolumeMedium, VolumeRenderMode,
         VolumeRenderSettings,
     };
@@ -92,6 +93,8 @@ pub mod prelude {
 /// | [`TransferFunctionPlugin`] | [`VolumeMaterial3d`], loader of `*.tf.json` |
 /// | [`VolumeEnvironmentPlugin`] | [`VolumeEnvironment`], its light and sky for meshes |
 /// | [`VolumeRenderPlugin`] | [`VolumeRenderSettings`]: the path tracer in Bevy's frame |
+///
+/// [`LiveLightPlugin`], which follows a 360° camera, is added apart.
 pub struct HolovolPlugins;
 
 impl PluginGroup for HolovolPlugins {

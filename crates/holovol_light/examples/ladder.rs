@@ -1,24 +1,29 @@
 //! Prints how well the ladder of evidence does on panoramas, leave-one-out.
 //!
-//! `cargo run --release -p holovol_light --example ladder -- *.hdr`
+//! `cargo run --release -p holovol_light --example ladder -- [--all-turns] *.hdr`
 use std::path::Path;
 
 use holovol_light::EnvironmentMap;
 use holovol_light::estimate::{Estimator, Prior};
 use holovol_light::evaluate::{
-    CLIPPED_SHARES, Case, Given, cells_of, fit, median, observe, quantile, rank_correlation,
+    CLIPPED_SHARES, Case, Given, ROTATIONS, cells_of, fit, median, observe, quantile,
+    rank_correlation,
 };
 use rayon::prelude::*;
 
 fn main() {
-    let files: Vec<String> = std::env::args().skip(1).collect();
+    let mut files: Vec<String> = std::env::args().skip(1).collect();
+    let all_turns = files.first().is_some_and(|file| file == "--all-turns");
+    if all_turns {
+        files.remove(0);
+    }
     let maps: Vec<EnvironmentMap> = files
         .iter()
         .map(|f| EnvironmentMap::load(Path::new(f)).expect("a panorama"))
         .collect();
     let cases: Vec<Case> = (0..maps.len() * 3)
         .into_par_iter()
-        .map(|i| Case::new(i / 3, &maps[i / 3], 1, CLIPPED_SHARES[i % 3]))
+        .map(|i| Case::new(i / 3, &maps[i / 3], 0, CLIPPED_SHARES[i % 3]))
         .collect();
     let observed: Vec<_> = cases.par_iter().map(observe).collect();
     let priors: Vec<Prior> = (0..=maps.len())
@@ -28,6 +33,18 @@ fn main() {
             fit(&rest)
         })
         .collect();
+    let cases: Vec<Case> = if all_turns {
+        (0..maps.len() * 3 * ROTATIONS)
+            .into_par_iter()
+            .map(|i| {
+                let panorama = i / 3 / ROTATIONS;
+                let (turn, share) = (i / 3 % ROTATIONS, CLIPPED_SHARES[i % 3]);
+                Case::new(panorama, &maps[panorama], turn, share)
+            })
+            .collect()
+    } else {
+        cases
+    };
     for (p, f) in priors
         .iter()
         .zip(files.iter().map(String::as_str).chain(["all"]))
@@ -59,13 +76,14 @@ fn main() {
                 })
                 .collect();
             println!(
-                "{name:32} {:5} rmse {:.2} ev {:+.2} sigma {:.2} dir {:5.1}  clear {:.2} {lights:?}",
+                "{name:32} {:5} rmse {:.2} ev {:+.2} sigma {:.2} dir {:5.1}  clear {:.2} haze {:.2} {lights:?}",
                 case.share,
                 error.irradiance_rmse,
                 error.ev_bias,
                 estimator.sigma_ev(),
                 error.direction.to_degrees(),
                 estimator.sky().clearness,
+                estimator.sky().haze,
             );
         }
         let of = |f: &dyn Fn(usize) -> f64| -> Vec<f64> { (0..results.len()).map(f).collect() };

@@ -3,17 +3,21 @@
 use std::sync::Arc;
 
 use crate::change::ChangeDetector;
-use crate::estimate::{Estimator, Evidence, Exposure, Light, Meter, Prior, Rung};
+use crate::estimate::{Estimator, Evidence, Exposure, Light, Meter, Prior, Rung, draw_discs};
 use crate::measure::{add_to_spherical_harmonics, spherical_harmonics};
-use crate::temporal::TemporalFilter;
-use crate::{EnvironmentMap, EnvironmentSampler};
+use crate::temporal::{TemporalFilter, exposure_change};
+use crate::{EnvironmentMap, EnvironmentSampler, Grid};
 
 /// Exposures of alternating frames are merged up to this age, in frames.
 const OLDEST: usize = 2;
-/// Change since the last published light from which on it is published again.
-const PUBLISH: f64 = 0.01;
-/// A disc light that changed by this share is published again.
-const DISC_CHANGE: f64 = 0.02;
+/// T since the last published light from which on it is published again: noise stays below.
+const PUBLISH: f64 = 0.02;
+/// A disc light that changed by this share, or moved by this angle (radians), is published again:
+/// highlights show that before T does. Guesses flicker by less.
+const DISC_CHANGE: f64 = 0.1;
+const DISC_MOVE: f64 = 0.25 / 180.0 * std::f64::consts::PI;
+/// But only if it gives this share of what all discs give.
+const DISC_SHARE: f64 = 0.05;
 
 /// What a renderer draws with: a map and the table made from this very map, so that densities are
 /// right, and the disc lights that are not in it.
@@ -27,13 +31,29 @@ pub struct PublishedLight {
     pub discs: Vec<Light>,
 }
 
+impl PublishedLight {
+    /// Map and lights as one map, for renderers that know no disc lights: each disc's energy is
+    /// spread over the texels whose centres it covers, or the nearest one.
+    pub fn whole_map(&self) -> EnvironmentMap {
+        let (width, height) = (self.map.width(), self.map.height());
+        let mut texels = self.map.texels().to_vec();
+        draw_discs(&Grid::new(width, height), &mut texels, &self.discs);
+        EnvironmentMap::new(width, height, texels)
+    }
+}
+
 /// What one frame gave.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Update {
     /// Change of illumination since the last frame, 0 … 1 (DESIGN §6).
     pub change: f64,
+    /// Change of illumination since the last published light: what a renderer sees when it takes
+    /// a new one.
+    pub change_since_published: f64,
     /// Whether [`LightChain::published`] is new.
     pub published: bool,
+    /// The frame's exposure, EV: as given, or found.
+    pub ev: f64,
     /// What the estimate rests on.
     pub rung: Rung,
     /// One standard deviation of all light, EV.
@@ -62,7 +82,8 @@ pub struct LightChain {
     change: ChangeDetector,
     kept: Vec<Kept>,
     published: Option<PublishedLight>,
-    unpublished: f64,
+    /// An untagged frame and its exposure, EV, that others are compared with.
+    reference: Option<(Vec<[f32; 3]>, f64)>,
 }
 
 impl LightChain {
@@ -74,8 +95,45 @@ impl LightChain {
             change: ChangeDetector::new(),
             kept: Vec::new(),
             published: None,
-            unpublished: 0.0,
+            reference: None,
         }
+    }
+
+    /// Takes a frame of a camera that does not tell its exposure: what most of the picture does,
+    /// compared with an earlier frame, is taken for the exposure. So a change of the light in more
+    /// than half of the view is taken for one of exposure: lock or tag it where you can.
+    ///
+    /// # Panics
+    /// If the frame has not the chain's size.
+    pub fn update_untagged(
+        &mut self,
+        frame: &[[f32; 3]],
+        seconds: f64,
+        meter: Option<Meter>,
+    ) -> Update {
+        /// Less than this is noise, EV.
+        const STEADY: f64 = 0.03;
+        /// From here on the two frames have too little in common, EV.
+        const FAR: f64 = 1.5;
+        let found = self.reference.as_ref().and_then(|(reference, ev)| {
+            let change = exposure_change(reference, frame)?;
+            Some((change, *ev))
+        });
+        let ev = match found {
+            Some((change, ev)) if change.abs() < STEADY => ev,
+            Some((change, ev)) => ev + change,
+            None => self.reference.as_ref().map_or(0.0, |(_, ev)| *ev),
+        };
+        match &mut self.reference {
+            None => self.reference = Some((frame.to_vec(), ev)),
+            Some((reference, at)) => {
+                if found.is_none_or(|(change, _)| change.abs() > FAR) {
+                    reference.copy_from_slice(frame);
+                    *at = ev;
+                }
+            }
+        }
+        self.update(frame, ev, seconds, meter)
     }
 
     /// Takes a frame: linear, 1 where it clips, `ev` its exposure above a reference that stays,
@@ -146,14 +204,16 @@ impl LightChain {
         for light in self.filter.lights() {
             add_to_spherical_harmonics(&mut sh9, light.direction, light.irradiance);
         }
-        self.unpublished += change;
-        let publish = self.unpublished >= PUBLISH || self.discs_changed();
+        let change_since_published = self.change.since_kept();
+        let publish = change_since_published >= PUBLISH || self.discs_changed();
         if publish {
             self.publish();
         }
         Update {
             change,
+            change_since_published,
             published: publish,
+            ev,
             rung: self.estimator.rung(),
             sigma_ev: self.estimator.sigma_ev(),
             sh9,
@@ -169,12 +229,19 @@ impl LightChain {
         let Some(published) = &self.published else {
             return true;
         };
+        let flux = |lights: &[Light]| -> f64 { lights.iter().map(|l| l.irradiance[1]).sum() };
         let now = self.filter.lights();
-        now.len() != published.discs.len()
-            || now.iter().zip(&published.discs).any(|(a, b)| {
-                let ratio = a.irradiance[1] / b.irradiance[1].max(1e-12);
-                (ratio - 1.0).abs() > DISC_CHANGE
-                    || a.direction.angle_between(b.direction) > 0.1 * DISC_CHANGE
+        let least = DISC_SHARE * flux(now).max(flux(&published.discs));
+        let matters = |light: &&Light| light.irradiance[1] > least;
+        let count = |lights: &[Light]| lights.iter().filter(matters).count();
+        count(now) != count(&published.discs)
+            || now.iter().filter(matters).any(|light| {
+                let near = published.discs.iter().any(|other| {
+                    let ratio = light.irradiance[1] / other.irradiance[1].max(1e-12);
+                    (ratio - 1.0).abs() < DISC_CHANGE
+                        && light.direction.angle_between(other.direction) < DISC_MOVE
+                });
+                !near
             })
     }
 
@@ -186,7 +253,7 @@ impl LightChain {
             map,
             discs: self.filter.lights().to_vec(),
         });
-        self.unpublished = 0.0;
+        self.change.keep();
     }
 }
 
@@ -229,6 +296,71 @@ mod tests {
         let found = luminance(published.discs[0].irradiance) / solid_angle;
         assert!((30.0..41.0).contains(&found), "{found}");
         assert!(published.sampler.is_some() && last.unwrap().sigma_ev < 0.1);
+    }
+
+    #[test]
+    fn an_untagged_exposure_is_not_the_light() {
+        // A room with walls of many shades and a lamp that clips; the camera hunts by ±0.7 EV.
+        let room = |ev: f64, seed: u64| -> Vec<[f32; 3]> {
+            let scale = ev.exp2() as f32;
+            let lit = |i: usize| {
+                let (x, y) = (i % WIDTH, i / WIDTH);
+                let on = (60..62).contains(&x) && (20..22).contains(&y);
+                let shade = 0.05 + 0.05 * ((x / 8 + y / 8) % 5) as f32;
+                let noise =
+                    1.0 + 0.02 * (((i as u64 * 7919 + seed * 104_729) % 97) as f32 / 48.0 - 1.0);
+                (scale * noise * if on { 5.0 } else { shade }).min(1.0)
+            };
+            (0..WIDTH * HEIGHT).map(|i| [lit(i); 3]).collect()
+        };
+        let mut chain = LightChain::new(WIDTH, HEIGHT, Prior::default());
+        let mut first = 0.0;
+        for i in 0..40_u32 {
+            let ev = 0.7 * (f64::from(i) * 0.2).sin();
+            let update = chain.update_untagged(&room(ev, u64::from(i)), 1.0 / 30.0, None);
+            assert!((update.ev - ev).abs() < 0.05, "{} for {ev}", update.ev);
+            let flux = f64::from(update.sh9[0][1]);
+            if i == 0 {
+                first = flux;
+                continue;
+            }
+            assert!((flux / first - 1.0).abs() < 0.05, "{i}: {flux} of {first}");
+            assert!(update.change < 0.05, "{i}: {update:?}");
+        }
+        // But a light that lights less than half of what is seen is.
+        let mut lit = room(0.0, 50);
+        for (i, texel) in lit.iter_mut().enumerate() {
+            if i % WIDTH < 40 {
+                *texel = texel.map(|c| (c * 4.0).min(1.0));
+            }
+        }
+        // The last exposure has its say for two frames more.
+        let mut most = 0.0_f64;
+        for _ in 0..4 {
+            let update = chain.update_untagged(&lit, 1.0 / 30.0, None);
+            assert!(update.ev.abs() < 0.1, "{update:?}");
+            most = most.max(update.change);
+        }
+        assert!(most > 0.5, "{most}");
+    }
+
+    #[test]
+    fn noise_is_not_published() {
+        let mut chain = LightChain::new(WIDTH, HEIGHT, Prior::default());
+        let map = crate::evaluate::imagined(5, WIDTH, HEIGHT);
+        let mut published = 0;
+        for i in 0..60 {
+            let noisy = crate::evaluate::happenings::with_noise(&map, i);
+            let picture: Vec<[f32; 3]> = noisy
+                .texels()
+                .iter()
+                .map(|t| t.map(|c| c.min(1.0)))
+                .collect();
+            let update = chain.update(&picture, 0.0, 1.0 / 30.0, None);
+            // The filter settles first.
+            published += usize::from(update.published && i > 10);
+        }
+        assert_eq!(published, 0);
     }
 
     #[test]

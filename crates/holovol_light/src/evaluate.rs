@@ -1,5 +1,8 @@
 //! Fits the prior and measures the ladder on panoramas whose light is known.
 
+pub mod happenings;
+mod imagined;
+
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -7,6 +10,8 @@ use crate::estimate::{Estimator, Evidence, Exposure, Meter, Observation, Prior, 
 use crate::measure::{FluxCells, LightError512, Truth, normals};
 use crate::response::{linear_to_srgb, srgb_to_linear};
 use crate::{EnvironmentMap, Grid, luminance};
+
+pub use imagined::imagined;
 
 /// Shares of the picture that the base exposure clips.
 pub const CLIPPED_SHARES: [f64; 3] = [0.005, 0.02, 0.08];
@@ -261,57 +266,52 @@ pub fn fit(cases: &[(&Case, &[Observation])]) -> Prior {
         prior.sun_over_sky = median(suns.clone());
     }
 
-    // Regions: weighted ridge regression, each panorama with the same weight in all. The typical
-    // region counts by how large it is, the spread by how much light it has.
-    let mut points: Vec<[f64; 4]> = Vec::new();
+    // Regions: how many times what its edge says a region is, each panorama with the same weight
+    // in all. The middle counts by how large regions are, the spread by how much light they have.
+    let mut points: Vec<[f64; 5]> = Vec::new();
     for panorama in 0..panoramas {
         let of_it = observed.iter().filter(|(p, _)| *p == panorama);
-        let all: Vec<[f64; 4]> = of_it
+        let all: Vec<[f64; 5]> = of_it
             .filter(|(_, all)| !all.iter().any(|o| matches!(o, Observation::Sun(_))))
             .flat_map(|(_, all)| *all)
             .filter_map(|o| match *o {
                 Observation::Region {
-                    sharpness,
+                    exponential,
                     gain,
+                    limit,
                     core,
                     flux,
-                } => Some([sharpness, gain, core, flux]),
+                } => Some([exponential, gain, core, flux, limit]),
                 Observation::Sun(_) => None,
             })
             .collect();
         let total = |i: usize| all.iter().map(|p| p[i]).sum::<f64>().max(1e-9);
         let (core, flux) = (total(2), total(3));
-        points.extend(all.iter().map(|p| [p[0], p[1], p[2] / core, p[3] / flux]));
+        points.extend(
+            all.iter()
+                .map(|p| [p[0], p[1], p[2] / core, p[3] / flux, p[4]]),
+        );
     }
-    let mean = |weight: usize, f: &dyn Fn(f64, f64) -> f64| {
-        let all: f64 = points.iter().map(|p| p[weight]).sum();
-        points
-            .iter()
-            .map(|p| p[weight] * f(p[0], p[1]))
-            .sum::<f64>()
-            / all
-    };
     if !points.is_empty() {
-        let (x, y) = (mean(2, &|x, _| x), mean(2, &|_, y| y));
-        let covariance = mean(2, &|a, b| (a - x) * (b - y));
-        let variance = mean(2, &|a, _| (a - x).powi(2));
-        prior.gain_per_sharpness = covariance / (variance + RIDGE);
-        prior.gain = y - prior.gain_per_sharpness * x;
-        let residual = mean(3, &|x, y| (y - prior.gain_of(x)).powi(2));
-        prior.gain_sigma = residual.sqrt();
+        // What the gain was before it levelled off.
+        let straight = |p: &[f64; 5]| p[1] / (1.0 - p[1] / p[4]).max(0.1);
+        let pairs = points.iter().map(|p| (straight(p) / p[0], p[2]));
+        prior.gain = weighted_median(pairs.collect());
+        let off = |p: &[f64; 5]| (p[1] - prior.gain_of(p[0], p[4])).powi(2) / p[0];
+        let weights: f64 = points.iter().map(|p| p[3]).sum();
+        let residual: f64 = points.iter().map(|p| p[3] * off(p)).sum();
+        prior.gain_sigma = (residual / weights).sqrt();
     }
     prior.sigma_scale = calibrate(cases, prior);
     prior
 }
 
-/// Variance of sharpness that keeps a chance slope in check.
-const RIDGE: f64 = 0.2;
 /// Share of cases that ± 2σ should hold.
 const INSIDE: f64 = 0.98;
 
-/// The model's spread is not narrowed by more than this: the few cases of a rung share their
-/// panoramas, and one draw of a meter's noise.
-const LEAST_SCALE: f64 = 0.8;
+/// Per rung, the model's spread is not narrowed by more than this: the few cases of a rung share
+/// their panoramas, and one draw of a meter's noise. A probe's spread is measured case by case.
+const LEAST_SCALE: [f64; 5] = [0.8, 0.8, 0.8, 0.8, 0.4];
 
 /// What σ has to be scaled by, per rung, for ± 2σ to hold the truth as often as it should.
 fn calibrate(cases: &[(&Case, &[Observation])], mut prior: Prior) -> [f64; 5] {
@@ -331,7 +331,7 @@ fn calibrate(cases: &[(&Case, &[Observation])], mut prior: Prior) -> [f64; 5] {
         let of_it = misses.iter().flatten().filter(|(_, r)| *r == rung);
         let scale = 0.5 * quantile(of_it.map(|(miss, _)| *miss).collect(), INSIDE);
         if scale > 0.0 {
-            scale.max(LEAST_SCALE)
+            scale.max(LEAST_SCALE[rung])
         } else {
             1.0
         }
@@ -364,6 +364,18 @@ pub fn rank_correlation(a: &[f64], b: &[f64]) -> f64 {
 /// The middle of some values; 0 of none.
 pub fn median(values: Vec<f64>) -> f64 {
     quantile(values, 0.5)
+}
+
+/// The value below which half of the weight is, of pairs of value and weight.
+fn weighted_median(mut pairs: Vec<(f64, f64)>) -> f64 {
+    pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let half = 0.5 * pairs.iter().map(|pair| pair.1).sum::<f64>();
+    let mut sum = 0.0;
+    let mut reached = pairs.iter().filter(|pair| {
+        sum += pair.1;
+        sum >= half
+    });
+    reached.next().map_or(0.0, |pair| pair.0)
 }
 
 /// The value that a share of all is below, interpolated; 0 of none.

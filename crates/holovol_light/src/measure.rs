@@ -101,13 +101,37 @@ impl FluxCells {
 pub fn luminous_flux(grid: &Grid, texels: &[[f32; 3]]) -> f64 {
     let rows = texels.chunks_exact(grid.width()).take(grid.height());
     rows.enumerate()
-        .map(|(y, row)| {
-            let sum = row.iter().fold([0.0_f32; 3], |sum, texel| {
-                [sum[0] + texel[0], sum[1] + texel[1], sum[2] + texel[2]]
-            });
-            luminance(sum.map(f64::from)) * f64::from(grid.solid_angle(y))
-        })
+        .map(|(y, row)| luminance(sum_of(row).map(f64::from)) * f64::from(grid.solid_angle(y)))
         .sum()
+}
+
+/// The sum of texels: eight at a time, so that additions don't wait for each other.
+pub(crate) fn sum_of(texels: &[[f32; 3]]) -> [f32; 3] {
+    const LANES: usize = 24;
+    let mut lanes = [0.0_f32; LANES];
+    let chunks = texels.as_flattened().chunks_exact(LANES);
+    let rest = chunks.remainder();
+    for chunk in chunks {
+        for (lane, value) in lanes.iter_mut().zip(chunk) {
+            *lane += value;
+        }
+    }
+    for (lane, value) in lanes.iter_mut().zip(rest) {
+        *lane += value;
+    }
+    let mut sum = [0.0; 3];
+    for lane in lanes.chunks_exact(3) {
+        for c in 0..3 {
+            sum[c] += lane[c];
+        }
+    }
+    sum
+}
+
+/// Whether any channel reaches a level; NaN does not.
+pub(crate) fn any_reaches(texels: &[[f32; 3]], level: f32) -> bool {
+    let values = texels.as_flattened().iter();
+    values.fold(false, |any, &value| any | (value >= level))
 }
 
 /// `count` directions spread evenly over the sphere (a Fibonacci lattice).
@@ -192,17 +216,7 @@ pub fn spherical_harmonics(grid: &Grid, texels: &[[f32; 3]]) -> [[f32; 3]; 9] {
     let width = grid.width();
     let mut sums = [[0.0_f64; 3]; 9];
     for (y, row) in texels.chunks_exact(width).take(grid.height()).enumerate() {
-        // Sums of L, L·dx, L·dz, L·dx², L·dx·dz over the row; dz² = 1 − dx².
-        let mut moments = [[0.0_f32; 3]; 5];
-        for (texel, x) in row.iter().zip(0..width) {
-            let [dx, dz] = grid.column(x);
-            let weights = [1.0, dx, dz, dx * dx, dx * dz];
-            for (moment, weight) in moments.iter_mut().zip(weights) {
-                for c in 0..3 {
-                    moment[c] += weight * texel[c];
-                }
-            }
-        }
+        let moments = row_moments(grid, row);
         let [sin, cos] = grid.row(y).map(f64::from);
         let solid_angle = f64::from(grid.solid_angle(y));
         for c in 0..3 {
@@ -229,6 +243,35 @@ pub fn spherical_harmonics(grid: &Grid, texels: &[[f32; 3]]) -> [[f32; 3]; 9] {
         out[i] = sum.map(|value| (value * factor) as f32);
     }
     out
+}
+
+/// Sums of L, L·dx, L·dz, L·dx², L·dx·dz over a row; dz² = 1 − dx².
+fn row_moments(grid: &Grid, row: &[[f32; 3]]) -> [[f32; 3]; 5] {
+    let mut moments = [[0.0_f32; 3]; 5];
+    let mut add = |x: usize, even: [f32; 3], odd: [f32; 3]| {
+        let [dx, dz] = grid.column(x);
+        for c in 0..3 {
+            moments[0][c] += even[c];
+            moments[1][c] += dx * odd[c];
+            moments[2][c] += dz * odd[c];
+            moments[3][c] += dx * dx * even[c];
+            moments[4][c] += dx * dz * even[c];
+        }
+    };
+    if row.len().is_multiple_of(2) {
+        // Opposite columns have opposite directions, and products alike.
+        let (left, right) = row.split_at(row.len() / 2);
+        for (x, (a, b)) in left.iter().zip(right).enumerate() {
+            let even = std::array::from_fn(|c| a[c] + b[c]);
+            let odd = std::array::from_fn(|c| a[c] - b[c]);
+            add(x, even, odd);
+        }
+    } else {
+        for (x, texel) in row.iter().enumerate() {
+            add(x, *texel, *texel);
+        }
+    }
+    moments
 }
 
 /// Adds a small light to spherical harmonics: irradiance facing it, RGB.

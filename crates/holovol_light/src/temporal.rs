@@ -3,6 +3,7 @@
 use glam::DVec3;
 
 use crate::estimate::Light;
+use crate::measure::sum_of;
 use crate::{Grid, luminance};
 
 /// Time constant of the map, s.
@@ -38,6 +39,7 @@ struct Track {
 pub struct TemporalFilter {
     grid: Grid,
     map: Vec<[f32; 3]>,
+    /// Per block: the new sum, then the rate it is taken over at; and the map's sum.
     means: Vec<[f64; 2]>,
     tracks: Vec<Track>,
     matched: Vec<bool>,
@@ -95,23 +97,22 @@ impl TemporalFilter {
         // Texels of a row from which a block's columns begin.
         let edge = |block: usize| block * width / BLOCKS[0];
         let block_row = |y: usize| (y * BLOCKS[1] / height) * BLOCKS[0];
-        self.means.fill([0.0; 2]);
-        for y in 0..height {
-            let row = y * width..(y + 1) * width;
-            let (new, old) = (&radiance[row.clone()], &self.map[row]);
+        for mean in &mut self.means {
+            mean[0] = 0.0;
+        }
+        for (y, row) in radiance.chunks_exact(width).take(height).enumerate() {
             for b in 0..BLOCKS[0] {
-                let columns = edge(b)..edge(b + 1);
-                let sum = |texels: &[[f32; 3]]| texels.as_flattened().iter().sum::<f32>();
-                let mean = &mut self.means[block_row(y) + b];
-                mean[0] += f64::from(scale * sum(&new[columns.clone()]));
-                mean[1] += f64::from(sum(&old[columns]));
+                let sum = sum_of(&row[edge(b)..edge(b + 1)]);
+                self.means[block_row(y) + b][0] += f64::from(scale * (sum[0] + sum[1] + sum[2]));
             }
         }
         let rate = 1.0 - (-seconds.max(0.0) / MAP_SECONDS).exp();
         for mean in &mut self.means {
             let ratio = (mean[0].max(1e-9) / mean[1].max(1e-9)).log2().abs();
             let switched = !self.started || ratio > BLOCK_SWITCH;
-            mean[0] = if switched { 1.0 } else { rate };
+            let rate = if switched { 1.0 } else { rate };
+            // The map's means follow as the map does.
+            *mean = [rate, mean[1] + rate * (mean[0] - mean[1])];
         }
         for y in 0..height {
             let row = y * width..(y + 1) * width;
@@ -202,20 +203,35 @@ impl TemporalFilter {
 /// of exposure: lock the exposure, or tag it, where you can.
 pub fn exposure_change(before: &[[f32; 3]], after: &[[f32; 3]]) -> Option<f64> {
     const LOOKED_AT: usize = 4096;
-    const FEWEST: usize = 64;
+    const FEWEST: u32 = 64;
+    /// A histogram, so that nothing is allocated: its bins, and their number in an EV.
+    const BINS: usize = 1024;
+    const PER_EV: f32 = 64.0;
     let step = (before.len() / LOOKED_AT).max(1);
     let open = |texel: &[f32; 3]| texel.iter().all(|&c| c > 0.004 && c < 0.9);
-    let pairs = before.iter().zip(after).step_by(step);
-    let mut ratios: Vec<f64> = pairs
-        .filter(|(a, b)| open(a) && open(b))
-        .map(|(a, b)| f64::from(b[1] / a[1]).log2())
-        .collect();
-    if ratios.len() < FEWEST {
+    let mut counts = [0_u32; BINS];
+    let mut all = 0;
+    for (a, b) in before.iter().zip(after).step_by(step) {
+        if open(a) && open(b) {
+            let place = (b[1] / a[1]).log2() * PER_EV + 0.5 * BINS as f32;
+            counts[(place.max(0.0) as usize).min(BINS - 1)] += 1;
+            all += 1;
+        }
+    }
+    if all < FEWEST {
         return None;
     }
-    let middle = ratios.len() / 2;
-    let (_, median, _) = ratios.select_nth_unstable_by(middle, f64::total_cmp);
-    Some(*median)
+    let half = 0.5 * f64::from(all);
+    let mut below = 0.0;
+    for (bin, &count) in counts.iter().enumerate() {
+        let count = f64::from(count);
+        if below + count >= half {
+            let place = bin as f64 + (half - below) / count.max(1.0);
+            return Some((place - 0.5 * BINS as f64) / f64::from(PER_EV));
+        }
+        below += count;
+    }
+    None
 }
 
 #[cfg(test)]

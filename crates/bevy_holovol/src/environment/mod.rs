@@ -1,6 +1,7 @@
 //! The light of the room that volumes, and by default meshes, stand in.
 
 mod light;
+mod live;
 mod loader;
 
 use std::sync::Arc;
@@ -9,6 +10,7 @@ use bevy::prelude::*;
 use holovol_light::EnvironmentMap;
 
 pub(crate) use light::CurrentMap;
+pub use live::{LiveCamera, LiveFrame, LiveLight, LiveLightPlugin, LivePicture};
 pub use loader::{EnvironmentLoader, EnvironmentLoaderError};
 
 /// cd/m² of radiance 1: what makes a map of ordinary brightness show at Bevy's default exposure.
@@ -97,6 +99,7 @@ pub struct WithoutSky;
 /// Where the light of a [`VolumeEnvironment`] comes from.
 ///
 /// Live light is a map whose asset is replaced as often as there is a new one: everything follows.
+/// [`LiveLightPlugin`] does that from a 360° camera.
 #[derive(Reflect, Clone, Debug, PartialEq)]
 #[reflect(Default, Clone, Debug, PartialEq)]
 pub enum EnvironmentSource {

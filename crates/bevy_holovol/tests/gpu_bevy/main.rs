@@ -5,6 +5,7 @@ mod assets;
 mod denoise;
 mod frame;
 mod light;
+mod live;
 mod meshes;
 mod scenes;
 
@@ -24,6 +25,7 @@ fn main() {
         denoise::TESTS,
         frame::TESTS,
         light::TESTS,
+        live::TESTS,
         meshes::TESTS,
         scenes::TESTS,
     ]

@@ -1,5 +1,6 @@
 //! `holovol bench`: measures holovol on this machine.
 
+mod changes;
 mod denoise;
 mod denoise_measures;
 mod denoise_oidn;

@@ -5,9 +5,10 @@ use std::f64::consts::PI;
 use glam::DVec3;
 
 use super::constrain::GROUPS;
+use super::prior::gain_limit;
 use super::sky::smoothstep;
 use super::{DISC_SOLID_ANGLE, Estimator, Light, LightClass, Region, SUN_SOLID_ANGLE};
-use crate::luminance;
+use crate::{Grid, luminance};
 
 /// The last light may stand for all weaker ones together.
 pub(super) const REST: u32 = u32::MAX;
@@ -15,13 +16,13 @@ pub(super) const REST: u32 = u32::MAX;
 /// log₂(halo/clipped) of a glow around a sun: below the first it has none, above the second one.
 const GLOW: [f64; 2] = [0.4, 1.0];
 /// A core smaller than this may be a sun without its glow being seen, sr.
-const SUN_CORE: [f64; 2] = [0.004, 0.02];
+pub(super) const SUN_CORE: [f64; 2] = [0.004, 0.02];
 /// From this ceiling on, a clipped core is the light itself rather than its glow.
 const BRACKETED: f32 = 8.0;
 /// Sine of the elevation below which nothing is a sun: haze and hills shift centres a little.
-const LOWEST_SUN: f64 = -0.05;
+pub(super) const LOWEST_SUN: f64 = -0.05;
 /// Clearness × glow from which on a light is taken for a sun.
-const SUN_FROM: f64 = 0.25;
+pub(super) const SUN_FROM: f64 = 0.25;
 /// The glow does not grow further toward the sun than to here, radians.
 const GLOW_CORE: f64 = 1.0 / 180.0 * PI;
 /// Largest radius of a glow that is believed, radians.
@@ -42,11 +43,12 @@ impl Estimator {
         self.tint();
         let sun = self.find_sun();
         let darkened = sun.map_or(1.0, |(_, s)| 1.0 - s * (1.0 - SUNLIT_GAIN));
+        let limit = gain_limit(self.ceiling);
         self.order.clear();
         self.strengths.clear();
         for (i, region) in self.regions.regions.iter().enumerate() {
             let gain = if region.core > 0.0 {
-                self.prior.gain_of(region.sharpness()) * darkened
+                self.prior.gain_of(region.exponential_gain(), limit) * darkened
             } else {
                 0.0
             };
@@ -159,7 +161,8 @@ impl Estimator {
     fn add_sun(&mut self, i: u32, sureness: f64, direction: DVec3) {
         let region = self.regions.regions[i as usize];
         let sky = luminance(self.map_irradiance(DVec3::Y));
-        let flux = self.prior.sun_over_sky.exp2() * sureness * sky;
+        let air = self.sky.transmittance(direction.y);
+        let flux = self.prior.sun_over_sky.exp2() * air * sureness * sky;
         let white = smoothstep(REDDENING, direction.y);
         let mut tint: [f64; 3] =
             std::array::from_fn(|c| SUNLIGHT[0][c] + white * (SUNLIGHT[1][c] - SUNLIGHT[0][c]));
@@ -202,7 +205,7 @@ impl Estimator {
                 } else {
                     solid_angle * level
                 }; 3],
-                sigma_ev: self.prior.gain_sigma,
+                sigma_ev: self.prior.gain_sigma_of(region.exponential_gain()),
                 disc: small,
                 region: if last { REST } else { index },
             });
@@ -331,36 +334,40 @@ impl Estimator {
     pub fn write_map(&self, out: &mut Vec<[f32; 3]>) {
         out.clear();
         out.extend_from_slice(&self.radiance);
-        for light in self.lights.iter().filter(|light| light.disc) {
-            let angle = (1.0 - light.solid_angle / (2.0 * PI))
-                .clamp(-1.0, 1.0)
-                .acos();
-            self.splat(out, light.direction, angle, light.irradiance);
-        }
+        draw_discs(&self.grid, out, &self.lights);
     }
+}
 
-    fn splat(&self, out: &mut [[f32; 3]], direction: DVec3, angle: f64, irradiance: [f64; 3]) {
-        let width = self.grid.width() as i64;
-        // At least a texel's half diagonal, so that there is always one.
-        let texel = 0.75 * PI / self.grid.height() as f64;
-        let angle = angle.max(texel);
-        let mut covered = 0.0;
-        self.grid.visit_cap(direction, angle, |y, _, count| {
-            covered += f64::from(self.grid.solid_angle(y)) * count as f64;
-        });
-        if covered <= 0.0 {
-            return;
-        }
-        let add = irradiance.map(|e| (e / covered) as f32);
-        self.grid.visit_cap(direction, angle, |y, start, count| {
-            for k in start..start + count as i64 {
-                let texel = &mut out[(k.rem_euclid(width) + width * y as i64) as usize];
-                for c in 0..3 {
-                    texel[c] += add[c];
-                }
-            }
-        });
+/// Adds the disc lights to a map.
+pub(crate) fn draw_discs(grid: &Grid, texels: &mut [[f32; 3]], lights: &[Light]) {
+    for light in lights.iter().filter(|light| light.disc) {
+        let angle = (1.0 - light.solid_angle / (2.0 * PI))
+            .clamp(-1.0, 1.0)
+            .acos();
+        splat(grid, texels, light.direction, angle, light.irradiance);
     }
+}
+
+fn splat(grid: &Grid, texels: &mut [[f32; 3]], direction: DVec3, angle: f64, irradiance: [f64; 3]) {
+    let width = grid.width() as i64;
+    // At least a texel's half diagonal, so that there is always one.
+    let angle = angle.max(0.75 * PI / grid.height() as f64);
+    let mut covered = 0.0;
+    grid.visit_cap(direction, angle, |y, _, count| {
+        covered += f64::from(grid.solid_angle(y)) * count as f64;
+    });
+    if covered <= 0.0 {
+        return;
+    }
+    let add = irradiance.map(|e| (e / covered) as f32);
+    grid.visit_cap(direction, angle, |y, start, count| {
+        for k in start..start + count as i64 {
+            let texel = &mut texels[(k.rem_euclid(width) + width * y as i64) as usize];
+            for c in 0..3 {
+                texel[c] += add[c];
+            }
+        }
+    });
 }
 
 fn classify(region: &Region, direction: DVec3) -> LightClass {

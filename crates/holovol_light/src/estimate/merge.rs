@@ -1,5 +1,7 @@
 //! Exposures of one scene to one radiance map, and where even the darkest is clipped.
 
+use crate::measure::any_reaches;
+
 /// A linearised picture of one exposure.
 #[derive(Clone, Copy, Debug)]
 pub struct Exposure<'a> {
@@ -18,6 +20,9 @@ const SHOULDER: f32 = 0.8;
 /// Two exposures that differ by more than this factor at a pixel saw different things.
 const MOVED: f32 = 1.5;
 
+/// Texels that are looked at together, since most are far from clipping.
+const BLOCK: usize = 16;
+
 /// Merges the first `frames.len()` exposures, sorted from the brightest to the darkest.
 ///
 /// `radiance` gets the map in units of the frame with EV 0; `clipped` per pixel a bit per channel
@@ -28,21 +33,31 @@ pub(super) fn merge(frames: &[Exposure], radiance: &mut [[f32; 3]], clipped: &mu
         return 1.0;
     };
     let level = gain(first);
-    for ((out, bits), texel) in radiance.iter_mut().zip(&mut *clipped).zip(first.radiance) {
-        let mut mask = 0;
-        for c in 0..3 {
-            // NaN and negative values become 0.
-            let value = texel[c].max(0.0);
-            mask |= u8::from(value >= CLIPPED) << c;
-            out[c] = value.min(1.0) * level;
+    let blocks = radiance.chunks_mut(BLOCK).zip(clipped.chunks_mut(BLOCK));
+    for ((out, bits), texels) in blocks.zip(first.radiance.chunks(BLOCK)) {
+        // NaN and negative values become 0.
+        let values = texels.as_flattened().iter();
+        for (out, value) in out.as_flattened_mut().iter_mut().zip(values) {
+            *out = value.max(0.0).clamp(0.0, 1.0) * level;
         }
-        *bits = mask;
+        bits.fill(0);
+        if any_reaches(texels, CLIPPED) {
+            for (bits, texel) in bits.iter_mut().zip(texels) {
+                for c in 0..3 {
+                    *bits |= u8::from(texel[c] >= CLIPPED) << c;
+                }
+            }
+        }
     }
     let mut ceiling = level;
     for frame in darker {
         let (before, level) = (ceiling, gain(frame));
-        for ((out, bits), texel) in radiance.iter_mut().zip(&mut *clipped).zip(frame.radiance) {
-            // Only what was near clipping can gain; most pixels end here.
+        let blocks = radiance.chunks_mut(BLOCK).zip(clipped.chunks_mut(BLOCK));
+        let blocks = blocks.zip(frame.radiance.chunks(BLOCK));
+        // Only what was near clipping can gain; most texels end here.
+        let near = blocks.filter(|((out, _), _)| any_reaches(out, SHOULDER * before));
+        let texels = near.flat_map(|((out, bits), texels)| out.iter_mut().zip(bits).zip(texels));
+        for ((out, bits), texel) in texels {
             let brightest = out[0].max(out[1]).max(out[2]);
             if brightest < SHOULDER * before {
                 continue;

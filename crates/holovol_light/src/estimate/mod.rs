@@ -2,6 +2,7 @@
 
 mod constrain;
 mod extend;
+mod found;
 mod merge;
 mod observe;
 mod prior;
@@ -20,6 +21,8 @@ use crate::{Grid, luminance};
 use constrain::{Beliefs, GROUPS, Measured};
 use regions::Regions;
 
+pub(crate) use extend::draw_discs;
+pub use found::{FoundLight, find_lights};
 pub use merge::{CLIPPED, Exposure};
 pub use observe::Observation;
 pub use prior::Prior;
@@ -146,6 +149,8 @@ const MISPLACEMENT: f64 = 0.2;
 const SHARED: f64 = 0.6;
 /// How sure the unclipped part is, EV: response, vignetting, quantisation.
 const BASE_SIGMA: f64 = 0.02;
+/// Share of a light's misplacement, as it shows over a probe, by which its strength is misread.
+const MISFIT_SHARE: f64 = 0.05;
 
 /// Estimates HDR light for one size of panorama; owns its memory, so that the steady state
 /// allocates nothing.
@@ -239,11 +244,14 @@ impl Estimator {
                 found
             }
         };
-        let after = self.flux();
+        let mut variance = match evidence.probe {
+            Some(probe) if !probe.is_empty() => self.misfit(probe).powi(2),
+            _ => BASE_SIGMA * BASE_SIGMA,
+        };
+        let after = self.flux().max(1e-12);
         for (share, light) in shares.iter_mut().zip(&self.lights) {
-            *share = luminance(light.irradiance) / after.max(1e-12);
+            *share = luminance(light.irradiance) / after;
         }
-        let mut variance = BASE_SIGMA * BASE_SIGMA;
         for i in 0..count {
             self.lights[i].sigma_ev = found.covariance[i][i].max(0.0).sqrt();
             for j in 0..count {
@@ -251,6 +259,35 @@ impl Estimator {
             }
         }
         self.sigma_ev = self.prior.sigma_scale[self.rung as usize] * variance.max(0.0).sqrt();
+    }
+
+    /// How far the estimate is from what the probe saw: of all light, EV.
+    ///
+    /// A probe sees the whole sphere, so that whatever is wrong (a light's place or shape, the
+    /// camera's response) shows in it.
+    fn misfit(&self, probe: &[ProbeSample]) -> f64 {
+        let count = probe.len() as f64;
+        let mean = probe
+            .iter()
+            .map(|sample| luminance(sample.irradiance))
+            .sum::<f64>()
+            / count;
+        if mean <= 0.0 {
+            return BASE_SIGMA;
+        }
+        let (mut sum, mut square) = (0.0, 0.0);
+        for sample in probe {
+            let (base, reach) = self.reach(sample.normal);
+            let found = luminance(base) + reach.iter().map(|rgb| luminance(*rgb)).sum::<f64>();
+            let off = (found - luminance(sample.irradiance)) / mean;
+            sum += off / count;
+            square += off * off / count;
+        }
+        // Luminance has less noise than its channels.
+        let noise = PROBE_SIGMA * 0.2126_f64.hypot(0.7152).hypot(0.0722);
+        let unexplained = (square - sum * sum - noise * noise).max(0.0).sqrt();
+        let seen = sum.hypot(MISFIT_SHARE * unexplained);
+        seen.max(noise / count.sqrt()) / LN_2
     }
 
     /// A meter's reading, and how well the lights' places let it be understood.

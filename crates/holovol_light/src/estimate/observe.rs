@@ -1,6 +1,7 @@
 //! What the truth says about the lights of an estimate: the ground that priors are fitted on.
 
 use super::extend::REST;
+use super::prior::gain_limit;
 use super::{Estimator, LightClass};
 use crate::luminance;
 use crate::measure::luminous_flux;
@@ -13,10 +14,12 @@ pub enum Observation {
     Sun(f64),
     /// A clipped region.
     Region {
-        /// How sharp its edge is.
-        sharpness: f64,
+        /// What its edge says of its gain, EV.
+        exponential: f64,
         /// log₂ of its core's true mean luminance over the clipping level.
         gain: f64,
+        /// Gain that no light has, EV.
+        limit: f64,
         /// Solid angle of its core, sr.
         core: f64,
         /// Its true share of all luminous flux.
@@ -61,8 +64,9 @@ impl Estimator {
                 let region = self.regions.regions[light.region as usize];
                 let mean = real / f64::from(region.core * self.ceiling);
                 (mean > 0.0).then(|| Observation::Region {
-                    sharpness: region.sharpness(),
+                    exponential: region.exponential_gain(),
                     gain: mean.log2().max(0.0),
+                    limit: gain_limit(self.ceiling),
                     core: f64::from(region.core),
                     flux: real / all,
                 })

@@ -1,5 +1,7 @@
 //! What is believed of clipped lights before they are measured.
 
+use std::f64::consts::LN_2;
+
 /// The few numbers that clipped lights are extended by, in EV (log₂).
 ///
 /// [`Prior::default`] is fitted on twelve CC0 panoramas of Poly Haven by `holovol bench light`,
@@ -10,11 +12,9 @@ pub struct Prior {
     pub sun_over_sky: f64,
     /// One standard deviation of [`Self::sun_over_sky`] for a sun at the zenith; not fitted.
     pub sun_sigma: f64,
-    /// Gain of a clipped region whose halo is as large as itself, EV.
+    /// A clipped region's gain over that of [`exponential_gain`].
     pub gain: f64,
-    /// Gain per unit of [`sharpness`].
-    pub gain_per_sharpness: f64,
-    /// One standard deviation of a region's gain.
+    /// One standard deviation of the gain of a region whose [`exponential_gain`] is 1 EV.
     pub gain_sigma: f64,
     /// Per rung: factor from the spread of the model to the spread that was met.
     pub sigma_scale: [f64; 5],
@@ -23,26 +23,36 @@ pub struct Prior {
 impl Default for Prior {
     fn default() -> Self {
         Self {
-            sun_over_sky: 2.287,
+            sun_over_sky: 2.288,
             sun_sigma: 0.6,
-            gain: 1.942,
-            gain_per_sharpness: 0.605,
-            gain_sigma: 1.996,
-            sigma_scale: [1.08, 1.48, 0.87, 0.8, 0.8],
+            gain: 2.161,
+            gain_sigma: 2.265,
+            sigma_scale: [1.25, 1.52, 0.8, 0.8, 0.53],
         }
     }
 }
 
-/// log₂(halo / clipped) is taken at least as this: no edge is sharper than the picture.
+/// log₂(halo / clipped) of an edge that the picture can't show sharper.
 const SHARPEST: f64 = 0.1;
-/// Gains are believed up to here, EV.
-const LARGEST_GAIN: f64 = 8.0;
+/// No lamp has more than this, EV above white paper that it lights: a bulb's glass has 2⁷, the
+/// surface of a bright LED 2¹¹.
+const BRIGHTEST: f64 = 11.0;
 
-/// How sharp a clipped region's edge is, from solid angles: 0 where its halo, which reaches down
-/// to −1 EV, is as large as itself, 1 and more where the edge looks cut out. Only what is far
-/// above clipping looks so.
-pub(super) fn sharpness(halo: f64, clipped: f64) -> f64 {
-    -((halo / clipped).log2().max(0.0) + SHARPEST).log2()
+/// Gain of a clipped region, EV, if the area above a radiance L falls as exp(−L/s) all the way
+/// from half the clipping level up, from solid angles.
+///
+/// Then halo / clipped = exp(1/2s), and the core has 1 + s on average. A region whose halo is many
+/// times its core is about to end: next to nothing is missing. One that looks cut out is far above
+/// clipping.
+pub(super) fn exponential_gain(halo: f64, clipped: f64) -> f64 {
+    let growth = (halo / clipped).log2().max(0.0) + SHARPEST;
+    (1.0 + 0.5 / (growth * LN_2)).log2()
+}
+
+/// Gain that no light above this ceiling has, EV: what even a dark exposure clips can't have much
+/// more.
+pub(super) fn gain_limit(ceiling: f32) -> f64 {
+    (BRIGHTEST - f64::from(ceiling).log2()).max(1.0)
 }
 
 /// Spread of the optical depth of clear air, in EV per air mass.
@@ -58,8 +68,14 @@ impl Prior {
         self.sun_sigma.hypot(HAZE_SIGMA * air_mass) + (1.0 - sureness)
     }
 
-    /// Gain of a region's clipped core over the clipping level, EV.
-    pub(crate) fn gain_of(&self, sharpness: f64) -> f64 {
-        (self.gain + self.gain_per_sharpness * sharpness).clamp(0.0, LARGEST_GAIN)
+    /// Gain of a region's clipped core over the clipping level, EV: levels off toward the limit.
+    pub(crate) fn gain_of(&self, exponential: f64, limit: f64) -> f64 {
+        let gain = self.gain * exponential;
+        gain * limit / (gain + limit)
+    }
+
+    /// One standard deviation of that gain, EV: none where nothing is missing.
+    pub(crate) fn gain_sigma_of(&self, exponential: f64) -> f64 {
+        self.gain_sigma * exponential.sqrt()
     }
 }

@@ -2,8 +2,12 @@
 
 use glam::DVec3;
 
-use super::prior::sharpness;
+use super::prior::exponential_gain;
 use crate::Grid;
+use crate::measure::any_reaches;
+
+/// Texels that are looked at together, since most are dark.
+const BLOCK: usize = 16;
 
 /// Texels in a row, all of one region.
 #[derive(Clone, Copy, Debug)]
@@ -36,9 +40,9 @@ impl Region {
         moment.try_normalize().unwrap_or(DVec3::Y)
     }
 
-    /// How sharp its edge is; see [`sharpness`].
-    pub(super) fn sharpness(&self) -> f64 {
-        sharpness(f64::from(self.halo), f64::from(self.clipped))
+    /// What its edge says of its gain, EV; see [`exponential_gain`].
+    pub(super) fn exponential_gain(&self) -> f64 {
+        exponential_gain(f64::from(self.halo), f64::from(self.clipped))
     }
 }
 
@@ -61,15 +65,24 @@ impl Regions {
         for (y, row) in radiance.chunks_exact(width).enumerate() {
             let first = self.runs.len();
             let mut start = None;
-            for (x, texel) in row.iter().enumerate() {
-                let bright = texel[0].max(texel[1]).max(texel[2]) >= threshold;
-                match (bright, start) {
-                    (true, None) => start = Some(x),
-                    (false, Some(from)) => {
+            for (block, texels) in row.chunks(BLOCK).enumerate() {
+                let x = block * BLOCK;
+                if !any_reaches(texels, threshold) {
+                    if let Some(from) = start.take() {
                         self.push(y, from, x);
-                        start = None;
                     }
-                    _ => {}
+                    continue;
+                }
+                for (x, texel) in (x..).zip(texels) {
+                    let bright = texel[0].max(texel[1]).max(texel[2]) >= threshold;
+                    match (bright, start) {
+                        (true, None) => start = Some(x),
+                        (false, Some(from)) => {
+                            self.push(y, from, x);
+                            start = None;
+                        }
+                        _ => {}
+                    }
                 }
             }
             if let Some(from) = start {

@@ -6,7 +6,7 @@ use super::extend::REST;
 use super::regions::Regions;
 use super::{DISC_SOLID_ANGLE, Estimator, Light, LightClass};
 use crate::luminance;
-use crate::measure::luminous_flux;
+use crate::measure::{any_reaches, luminous_flux};
 
 /// A texel this many times the mean radiance may be part of a small light.
 const BRIGHT: f64 = 16.0;
@@ -22,21 +22,19 @@ impl Estimator {
     pub(super) fn resolve(&mut self) {
         let flux = luminous_flux(&self.grid, &self.radiance);
         let level = (BRIGHT * flux / (4.0 * std::f64::consts::PI)) as f32;
-        let brightest = |texel: &[f32; 3]| texel[0].max(texel[1]).max(texel[2]);
+        if level.is_nan() || level <= 0.0 || !any_reaches(&self.radiance, 2.0 * level) {
+            return;
+        }
         // Texels at twice the level mark a light, those above the level are all of it.
         self.marks.clear();
-        let marks = self.radiance.iter();
-        let marks = marks.map(|texel| {
-            if brightest(texel) >= 2.0 * level {
+        let mark = |texel: &[f32; 3]| {
+            if texel.iter().any(|&c| c >= 2.0 * level) {
                 7
             } else {
                 0
             }
-        });
-        self.marks.extend(marks);
-        if level.is_nan() || level <= 0.0 || self.marks.iter().all(|&mark| mark == 0) {
-            return;
-        }
+        };
+        self.marks.extend(self.radiance.iter().map(mark));
         let mut found = std::mem::take(&mut self.bright);
         found.find(&self.grid, &self.radiance, &self.marks, 2.0 * level);
         self.order.clear();

@@ -19,6 +19,18 @@ const OVERLAP_SIGMA: f64 = 0.04;
 const OVERLAP_SAMPLES: usize = 20_000;
 /// A texel of which this share of pixels clips is clipped.
 const CLIPPED_SHARE: f32 = 0.33;
+/// Eight places in a texel, no two in one of its eight columns or rows: nearly as good against
+/// aliasing as 4 × 4, for half of the time.
+const ROOKS: [[f64; 2]; 8] = [
+    [0.0, 3.0],
+    [1.0, 6.0],
+    [2.0, 1.0],
+    [3.0, 4.0],
+    [4.0, 7.0],
+    [5.0, 2.0],
+    [6.0, 5.0],
+    [7.0, 0.0],
+];
 /// Counts clipped pixels in the same sum as their light, which stays far below it.
 const FLAG: f32 = 64.0;
 /// Codes from here on are clipped.
@@ -65,11 +77,19 @@ struct Row {
     pixels: Vec<u32>,
 }
 
+/// The middles of the cells that a texel is cut into.
+fn places(columns: usize, rows: usize) -> Vec<[f64; 2]> {
+    let middle = |i: usize, n: usize| (i as f64 + 0.5) / n as f64;
+    (0..columns * rows)
+        .map(|i| [middle(i % columns, columns), middle(i / columns, rows)])
+        .collect()
+}
+
 /// Turns pairs of fisheye pictures into linear panoramas.
 ///
-/// When a panorama's texel covers more than a pixel of the picture, it averages 4, 9 or 16 pixels
+/// When a panorama's texel covers more than a pixel of the picture, it averages 4, 8 or 9 pixels
 /// spread over it, so that shrinking up to 1 : 5 or so does not alias; otherwise it interpolates.
-/// Its table has 4 bytes per pixel that is looked at: 9 MB for 512 × 256 from 1440² pictures.
+/// Its table has 4 bytes per pixel that is looked at: 5 MB for 512 × 256 from 1440² pictures.
 #[derive(Clone, Debug)]
 pub struct Stitcher {
     width: usize,
@@ -122,12 +142,13 @@ impl Stitcher {
         let density = (0..2)
             .map(|l| edges[l] / calibration.lenses[l].projection.max_angle() * texel)
             .fold(0.0, f64::max);
-        let side = match density {
-            d if d < 1.5 => 1,
-            d if d < 2.6 => 2,
-            d if d < 3.6 => 3,
-            _ => 4,
+        let places = match density {
+            d if d < 1.5 => places(1, 1),
+            d if d < 2.6 => places(2, 2),
+            d if d < 3.6 => places(3, 3),
+            _ => ROOKS.map(|place| place.map(|i| (i + 0.5) / 8.0)).to_vec(),
         };
+        let per_part = places.len();
         let build = |y: usize| {
             let mut row = Row::default();
             for x in 0..grid.width() {
@@ -158,16 +179,15 @@ impl Stitcher {
                         column: x as u16,
                         lens: l as u8,
                         fraction,
-                        weight: (blend[l] / level) as f32 / (side * side) as f32,
+                        weight: (blend[l] / level) as f32 / per_part as f32,
                         blend: blend[l] as f32,
                     });
-                    if side == 1 {
+                    if per_part == 1 {
                         row.pixels.push(index);
                         continue;
                     }
-                    for s in 0..side * side {
-                        let offset = |i: usize| (i as f64 + 0.5) / side as f64;
-                        let around = at(offset(s % side), offset(s / side));
+                    for &[across, down] in &places {
+                        let around = at(across, down);
                         let nearest = lens.projection.project(to_lens(rotations[l], around));
                         let nearest = nearest.and_then(|p| place_nearest(p, lens.size));
                         row.pixels.push(nearest.unwrap_or(index));
@@ -192,7 +212,7 @@ impl Stitcher {
                 .each_ref()
                 .map(|lens| lens.size[0] * lens.size[1]),
             rows: (0..grid.height()).into_par_iter().map(build).collect(),
-            per_part: side * side,
+            per_part,
             overlap: overlap_taps(calibration, axes, reach),
             table,
             flagged,
