@@ -94,7 +94,7 @@ impl XrArgs {
 fn join(app: &mut App, args: &XrArgs) {
     app.insert_resource(MixedRealitySettings {
         render: VolumeRenderSettings {
-            mode: VolumeRenderMode::Fresh,
+            mode: VolumeRenderMode::Denoised,
             samples: args.samples,
             ..default()
         },

@@ -132,7 +132,7 @@ fn begin_flight(path: ptr<function, Path>, origin: vec3<f32>, direction: vec3<f3
 
 #if MESH_DEPTH == 1
 // Metres along the camera's axis to the first opaque mesh. Samples take turns with those of
-// multisampling.
+// multisampling, and so do frames that begin anew with their first sample.
 fn mesh_depth(view: u32, position: vec2<f32>, sample: u32) -> f32 {
     let map = views[view].mesh_depth;
     if map.w == 0u {
@@ -140,7 +140,7 @@ fn mesh_depth(view: u32, position: vec2<f32>, sample: u32) -> f32 {
     }
     let size = vec2<f32>(map.xy);
     let texel = clamp(position * size / vec2<f32>(views[view].image.xy), vec2<f32>(0.0), size - 1.0);
-    return textureLoad(mesh_depth_texture, vec2<u32>(texel), map.z + sample % map.w, 0).x;
+    return textureLoad(mesh_depth_texture, vec2<u32>(texel), map.z + (sample + views[view].image.w) % map.w, 0).x;
 }
 #endif
 
