@@ -247,7 +247,7 @@ fn eyes(is_pair: bool) -> (App, [Entity; 2], [Handle<Image>; 2]) {
     let right = spawn_camera(&mut app, &right_target, 1.0, denoised(2, 16));
     let of_left = |app: &App| {
         let left = app.world().entity(left);
-        let exposure = left.get::<Exposure>().expect("an exposure").clone();
+        let exposure = *left.get::<Exposure>().expect("an exposure");
         let projection = left.get::<Projection>().expect("a projection").clone();
         (
             *left.get::<Transform>().expect("a pose"),
