@@ -23,8 +23,27 @@ const MEMBER_BYTES_MAX: u64 = 16 << 30;
 const BYTES_PER_MEMBER: u64 = 256;
 const MEMBERS_MIN: u64 = 1024;
 
-/// Where the record that ends an archive can be: it has 22 bytes, and a comment of up to 64 KiB.
-const END_BYTES_MAX: u64 = (64 << 10) + 22;
+/// Where the record that ends an archive can be: it has 22 bytes, a comment of up to 64 KiB, and
+/// before it the 20 bytes that say where ZIP64's is.
+const END_BYTES_MAX: u64 = (64 << 10) + 22 + 20;
+
+const ZIP64_END: &[u8] = b"PK\x06\x06";
+const ZIP64_BYTES: usize = 56;
+
+/// Where ZIP64's record of the end can be: where it is said to be, and wherever it is found.
+fn zip64_places(tail: &[u8], length: u64) -> Vec<u64> {
+    let start = length - tail.len() as u64;
+    let said = tail
+        .windows(16)
+        .filter(|window| window.starts_with(b"PK\x06\x07"))
+        .map(|locator| u64::from_le_bytes(std::array::from_fn(|i| locator[8 + i])));
+    let found = tail
+        .windows(ZIP64_END.len())
+        .zip(start..)
+        .filter(|(window, _)| *window == ZIP64_END)
+        .map(|(_, place)| place);
+    said.chain(found).collect()
+}
 
 /// Reads ZIP archives.
 #[derive(Clone, Copy, Debug)]
@@ -125,6 +144,15 @@ impl<'a> ZipFiles<'a> {
             if let [.., here_0, here_1, all_0, all_1] = *end {
                 let here = u16::from_le_bytes([here_0, here_1]);
                 check(here.max(u16::from_le_bytes([all_0, all_1])).into())?;
+            }
+        }
+        for place in zip64_places(&tail, source.length()) {
+            let mut record = [0; ZIP64_BYTES];
+            let read = source.read_at(place, &mut record).unwrap_or(0);
+            if read == ZIP64_BYTES && record.starts_with(ZIP64_END) {
+                let number =
+                    |at: usize| u64::from_le_bytes(std::array::from_fn(|i| record[at + i]));
+                check(number(24).max(number(32)))?;
             }
         }
         let mut archive = ZipArchive::new(source.cursor(0)).map_err(damaged)?;

@@ -186,3 +186,27 @@ fn compressions_of_tiff_that_are_not_read_are_named() {
         assert!(text.contains(name) && text.contains("save it"), "{text}");
     }
 }
+
+#[test]
+fn archives_of_more_members_than_bytes_are_refused_before_they_are_listed() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("many.zip");
+    // An empty archive of ZIP64 that claims 2^40 members; the old record at the end does not.
+    let mut bytes = b"PK\x03\x04".to_vec();
+    bytes.extend([0; 26]);
+    let record = bytes.len() as u64;
+    bytes.extend(b"PK\x06\x06");
+    bytes.extend(44u64.to_le_bytes());
+    bytes.extend([45, 0, 45, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
+    bytes.extend((1u64 << 40).to_le_bytes());
+    bytes.extend((1u64 << 40).to_le_bytes());
+    bytes.extend([0; 16]);
+    bytes.extend(b"PK\x06\x07\0\0\0\0");
+    bytes.extend(record.to_le_bytes());
+    bytes.extend(1u32.to_le_bytes());
+    bytes.extend(b"PK\x05\x06");
+    bytes.extend([0; 18]);
+    fs::write(&path, &bytes).expect("it can be written");
+    let told = message(&path);
+    assert!(told.contains("claims 1099511627776 members"), "{told}");
+}
