@@ -1,8 +1,8 @@
 //! A light map made in code, that turns; meshes and sky follow.
 
 use bevy::prelude::*;
+use bevy_holovol::EnvironmentMap;
 use bevy_holovol::prelude::*;
-use holovol_light::EnvironmentMap;
 
 fn main() -> AppExit {
     App::new()
@@ -19,7 +19,7 @@ fn map() -> EnvironmentMap {
         let u = (0.5 + (i % width) as f64) / width as f64;
         let v = (0.5 + (i / width) as f64) / height as f64;
         let direction = EnvironmentMap::direction_from_uv([u, v]);
-        let lamp = glam::DVec3::new(1.0, 1.0, 1.0).normalize();
+        let lamp = bevy::math::DVec3::new(1.0, 1.0, 1.0).normalize();
         if direction.dot(lamp) > 10f64.to_radians().cos() {
             [60.0, 50.0, 35.0]
         } else if direction.y > 0.0 {

@@ -2,7 +2,7 @@
 
 use bevy::prelude::*;
 use bevy_holovol::prelude::*;
-use holovol_volume::{TransferFunction, TransferPoint};
+use bevy_holovol::{TransferFunction, TransferPoint};
 
 fn main() -> AppExit {
     App::new()

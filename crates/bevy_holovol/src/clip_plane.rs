@@ -15,6 +15,19 @@ use crate::Volume3d;
 #[require(Transform, Visibility)]
 pub struct VolumeClipPlane;
 
+impl VolumeClipPlane {
+    /// Where a plane stands that keeps what has n·x + w ≥ 0, as scenes and
+    /// [`SceneParts`](crate::SceneParts) have it: (n, w), n of length 1.
+    pub fn transform(plane: DVec4) -> Transform {
+        let normal = plane.truncate();
+        Transform {
+            translation: (normal * -plane.w).as_vec3(),
+            rotation: Quat::from_rotation_arc(Vec3::Y, -normal.as_vec3()),
+            scale: Vec3::ONE,
+        }
+    }
+}
+
 /// (n, w) with n·x + w ≥ 0 for what stays.
 pub(crate) fn plane_of(transform: &GlobalTransform) -> Option<DVec4> {
     // A normal turns by the inverse transpose.
@@ -51,6 +64,15 @@ mod tests {
 
     fn height(transform: Transform, point: DVec3) -> f64 {
         plane_of(&transform.into()).unwrap().dot(point.extend(1.0))
+    }
+
+    #[test]
+    fn a_plane_stands_where_its_numbers_say() {
+        for normal in [DVec3::X, DVec3::NEG_Y, DVec3::new(0.6, 0.0, -0.8)] {
+            let plane = normal.extend(0.3);
+            let found = plane_of(&VolumeClipPlane::transform(plane).into()).unwrap();
+            assert!((found - plane).length() < 1e-6, "{found} {plane}");
+        }
     }
 
     #[test]

@@ -12,8 +12,8 @@
 //!         .add_plugins((DefaultPlugins, HolovolPlugins))
 //!         .add_systems(Startup, |mut commands: Commands, assets: Res<AssetServer>| {
 //!             commands.spawn((
-//!                 Volume3d(assets.load("head.nii.gz")),
-//!                 VolumeMaterial3d(assets.load("ct_bone.tf.json")),
+//!                 Volume3d(assets.load("head.nrrd")),
+//!                 VolumeMaterial3d(assets.load("head.tf.json")),
 //!             ));
 //!             commands.spawn((
 //!                 Camera3d::default(),
@@ -73,6 +73,13 @@ pub use scene::SceneParts;
 pub use transfer_function::{TransferFunctionAsset, TransferFunctionPlugin, VolumeMaterial3d};
 pub use volume::{
     Volume3d, VolumeAsset, VolumeFiles, VolumeLoadProgress, VolumeMedium, VolumePlugin,
+};
+
+// What volumes, transfer functions and light are made of in code.
+pub use holovol_light::EnvironmentMap;
+pub use holovol_volume::{
+    Geometry, ReadOptions, TransferFunction, TransferFunctionFile, TransferPoint, Volume,
+    VolumeError, Voxels,
 };
 
 /// All that most apps use.

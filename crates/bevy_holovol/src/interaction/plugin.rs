@@ -18,7 +18,8 @@ pub struct InteractionPlugin;
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct InteractionSystems;
 
-/// Makes an entity with a box around it, such as a [`Volume3d`](crate::Volume3d), something that
+/// With [`InteractionPlugin`], which [`HolovolPlugins`](crate::HolovolPlugins) leave out: makes an
+/// entity with a box around it, such as a [`Volume3d`](crate::Volume3d), something that
 /// hands can take. Its scale should be alike along all axes: hands make it so.
 #[derive(Component, Reflect, Clone, Copy, Debug, PartialEq)]
 #[reflect(Component, Default, Clone, Debug, PartialEq)]

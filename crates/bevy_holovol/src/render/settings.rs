@@ -17,7 +17,7 @@ pub struct VolumeRenderSettings {
     pub mode: VolumeRenderMode,
     /// How [`VolumeRenderMode::Denoised`] takes noise out; other modes don't use it.
     pub denoiser: VolumeDenoiser,
-    /// Samples per pixel and frame; 1 by default. Twice as many halve the noise that is left to a
+    /// Samples per pixel and frame; 1 by default, 0 to stand still for a while. Twice as many halve the noise that is left to a
     /// denoiser; 2 is what its settings were found with.
     pub samples: u32,
     /// Samples per pixel at which a resting view is done and costs nothing more; 1024 by default.

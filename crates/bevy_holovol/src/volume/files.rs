@@ -8,7 +8,7 @@ use bevy::asset::AssetHandleProvider;
 use bevy::ecs::system::SystemParam;
 use bevy::prelude::*;
 use bevy::tasks::{AsyncComputeTaskPool, Task, futures::check_ready};
-use holovol_volume::{Volume, VolumeError};
+use holovol_volume::{CancelFlag, ReadOptions, Volume, VolumeError};
 
 use super::VolumeAsset;
 
@@ -32,7 +32,7 @@ pub struct VolumeFiles<'w> {
 }
 
 /// How far a file has been read.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct VolumeLoadProgress {
     /// The file or folder.
     pub path: PathBuf,
@@ -40,8 +40,9 @@ pub struct VolumeLoadProgress {
     pub bytes: u64,
     /// Bytes of voxels in all; 0 while unknown.
     pub total_bytes: u64,
-    /// Why it could not be read.
-    pub error: Option<String>,
+    /// Why it could not be read. [`VolumeError::Choose`] lists what
+    /// [`ReadOptions::choice`] can choose from.
+    pub error: Option<Arc<VolumeError>>,
 }
 
 /// What is being read, and what could not be.
@@ -52,20 +53,32 @@ struct Load {
     path: PathBuf,
     handle: Handle<VolumeAsset>,
     progress: Arc<[AtomicU64; 2]>,
+    cancel: CancelFlag,
     task: Option<Task<Result<Volume, VolumeError>>>,
-    error: Option<String>,
+    error: Option<Arc<VolumeError>>,
 }
 
 impl VolumeFiles<'_> {
     /// Begins to read a file or folder; the handle's asset is there once that is done.
     pub fn open(&mut self, path: impl AsRef<Path>) -> Handle<VolumeAsset> {
+        self.open_with(path, ReadOptions::default())
+    }
+
+    /// [`Self::open`] with a choice among several volumes, a limit, or the layout of a file without
+    /// a header.
+    pub fn open_with(
+        &mut self,
+        path: impl AsRef<Path>,
+        options: ReadOptions,
+    ) -> Handle<VolumeAsset> {
         let path = path.as_ref().to_owned();
         let provider: AssetHandleProvider = self.assets.get_handle_provider();
         let handle = provider.reserve_handle().typed::<VolumeAsset>();
         let progress = Arc::new([const { AtomicU64::new(0) }; 2]);
         let (file, told) = (path.clone(), Arc::clone(&progress));
+        let cancel = options.cancel.clone();
         let task = AsyncComputeTaskPool::get().spawn(async move {
-            holovol_volume::open(&file, &mut |progress| {
+            holovol_volume::open_with(&file, &options, &mut |progress| {
                 told[0].store(progress.bytes, Ordering::Relaxed);
                 told[1].store(progress.total_bytes, Ordering::Relaxed);
             })
@@ -74,6 +87,7 @@ impl VolumeFiles<'_> {
             path,
             handle: handle.clone(),
             progress,
+            cancel,
             task: Some(task),
             error: None,
         });
@@ -92,9 +106,15 @@ impl VolumeFiles<'_> {
         self.loads.0.iter().map(Load::progress)
     }
 
-    /// Gives up what is being read for this handle, and forgets why it could not be.
+    /// Stops reading for this handle, within some megabytes, and forgets why it could not be read.
     pub fn cancel(&mut self, handle: &Handle<VolumeAsset>) {
-        self.loads.0.retain(|load| load.handle != *handle);
+        self.loads.0.retain(|load| {
+            let is_other = load.handle != *handle;
+            if !is_other {
+                load.cancel.cancel();
+            }
+            is_other
+        });
     }
 }
 
@@ -121,7 +141,6 @@ pub(super) fn finish_loads(mut loads: ResMut<Loads>, mut assets: ResMut<Assets<V
         load.task = None;
         match result {
             Ok(volume) => {
-                // Stale only if everybody has dropped the handle: nobody wants it any more.
                 let inserted = assets.insert(&load.handle, VolumeAsset::new(volume));
                 if let Err(error) = inserted {
                     debug!("{}: {error}", load.path.display());
@@ -130,7 +149,7 @@ pub(super) fn finish_loads(mut loads: ResMut<Loads>, mut assets: ResMut<Assets<V
             }
             Err(error) => {
                 error!("{error}");
-                load.error = Some(error.to_string());
+                load.error = Some(Arc::new(error));
                 true
             }
         }

@@ -134,7 +134,7 @@ fn files_anywhere_are_opened() {
         .expect("a system")
         .expect("still known");
     assert_eq!(progress.path, missing);
-    let error = progress.error.expect("a reason");
+    let error = progress.error.expect("a reason").to_string();
     assert!(error.contains("missing.nrrd"), "{error}");
 }
 

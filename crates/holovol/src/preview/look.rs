@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use bevy::camera::Exposure;
-use bevy::prelude::{Handle, Quat, Transform, Vec3};
+use bevy::prelude::Handle;
 use bevy_holovol::environment::DEFAULT_INTENSITY;
 use bevy_holovol::prelude::{EnvironmentAsset, VolumeMedium};
 use glam::{DMat4, DVec3, DVec4};
@@ -242,16 +242,6 @@ impl Look {
     }
 }
 
-/// Where a `VolumeClipPlane` stands that leaves out what has n·x + w < 0.
-pub(crate) fn transform_of_plane(plane: DVec4) -> Transform {
-    let normal = plane.truncate();
-    Transform {
-        translation: (normal * -plane.w).as_vec3(),
-        rotation: Quat::from_rotation_arc(Vec3::Y, -normal.as_vec3()),
-        scale: Vec3::ONE,
-    }
-}
-
 /// Former and undone looks.
 #[derive(Debug, Default)]
 pub(crate) struct History {
@@ -313,6 +303,9 @@ impl History {
 
 #[cfg(test)]
 mod tests {
+    use bevy::prelude::Vec3;
+    use bevy_holovol::prelude::VolumeClipPlane;
+
     use super::*;
 
     fn thick(density: f64) -> Look {
@@ -397,7 +390,7 @@ mod tests {
         assert!(again.normal.distance(normal) < 1e-12 && (again.offset - 0.05).abs() < 1e-12);
         let height = |at: DVec3| plane.dot((DVec3::ONE + at).extend(1.0));
         assert!(height(normal * 0.04) > 0.0 && height(normal * 0.06) < 0.0);
-        let transform = transform_of_plane(plane);
+        let transform = VolumeClipPlane::transform(plane);
         let up = transform.rotation * Vec3::Y;
         assert!(up.as_dvec3().distance(normal) < 1e-6);
         let point = transform.translation.as_dvec3().extend(1.0);

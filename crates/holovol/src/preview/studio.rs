@@ -9,7 +9,7 @@ use glam::{DMat4, DVec3};
 use holovol_volume::{Histogram, Volume};
 
 use super::Session;
-use super::look::{History, LightSource, Look, transform_of_plane};
+use super::look::{History, LightSource, Look};
 
 pub(crate) struct StudioPlugin;
 
@@ -175,7 +175,7 @@ pub(crate) fn apply(
         .as_ref()
         .map(|scan| look.clip_planes(scan.world_from_unit_cube()))
         .unwrap_or_default();
-    let transforms_wanted: Vec<_> = planes.into_iter().map(transform_of_plane).collect();
+    let transforms_wanted: Vec<_> = planes.into_iter().map(VolumeClipPlane::transform).collect();
     if transforms_wanted.len() == applied.planes.len() {
         for (&entity, transform) in applied.planes.iter().zip(transforms_wanted) {
             if let Ok(mut old) = transforms.get_mut(entity) {
