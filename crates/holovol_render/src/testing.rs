@@ -40,6 +40,15 @@ impl Mutation {
     }
 }
 
+/// For threads that compile what another asks for.
+pub(crate) fn present_mutation() -> Option<Mutation> {
+    MUTATION.get()
+}
+
+pub(crate) fn set_mutation(mutation: Option<Mutation>) {
+    MUTATION.set(mutation);
+}
+
 /// A file's text, mutated if it is its turn.
 pub(crate) fn source(file: &ShaderFile) -> Cow<'static, str> {
     match MUTATION.get() {

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::hash::Hash;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -50,13 +51,20 @@ where
         });
         let (jobs, queue) = channel::<K>();
         let results = Arc::clone(&shared);
+        #[cfg(any(test, feature = "testing"))]
+        let damage = crate::testing::present_mutation();
         std::thread::Builder::new()
             .name(what.into())
             .spawn(move || {
+                #[cfg(any(test, feature = "testing"))]
+                crate::testing::set_mutation(damage);
                 for key in queue {
-                    let variant = match compile(&key) {
-                        Ok(compiled) => Variant::Ready(compiled),
-                        Err(error) => Variant::Failed(error.to_string()),
+                    // Who waits for it must hear of a panic, too.
+                    let compiled = catch_unwind(AssertUnwindSafe(|| compile(&key)));
+                    let variant = match compiled {
+                        Ok(Ok(compiled)) => Variant::Ready(compiled),
+                        Ok(Err(error)) => Variant::Failed(error.to_string()),
+                        Err(_) => Variant::Failed("it panicked".into()),
                     };
                     results.lock().insert(key, variant);
                     results.changed.notify_all();

@@ -111,7 +111,7 @@ pub(crate) fn draw(
         zoom: context.zoom_factor(),
     };
     let layer = egui::LayerId::new(Order::Background, "overlay".into());
-    let painter = context.layer_painter(layer);
+    let painter = context.layer_painter(layer).with_clip_rect(free);
     let overlay = &panel.overlay;
     if overlay.shows_handles {
         crop(context, &painter, &project, scan, &mut studio.look.crop);

@@ -150,8 +150,8 @@ pub const MUTATIONS: &[Caught] = &[
     ),
     caught(
         DENOISE,
-        "fetch(key, there, 1u - eye,",
-        "fetch(key, there, 0u,",
+        "let image = denoise.eyes[1u - eye].image.xyw",
+        "let image = denoise.eyes[0u].image.xyw",
         denoise::swapped_eyes_swap_images,
     ),
     caught(
@@ -162,8 +162,8 @@ pub const MUTATIONS: &[Caught] = &[
     ),
     caught(
         DENOISE,
-        "clamp(mean.rgb / scale,",
-        "clamp(1.03 * mean.rgb / scale,",
+        "clamp(mean.rgb / (guide.rgb",
+        "clamp(1.03 * mean.rgb / (guide.rgb",
         denoise::the_mean_is_kept,
     ),
     caught(RANDOM, "1664525u", "1664527u", functions::random_numbers),
