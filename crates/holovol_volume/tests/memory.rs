@@ -241,6 +241,14 @@ fn small_files_take_little_memory() {
     }
     assert_eq!(huge, 48, "in 16 pages");
     write("claims_page.tif", &page);
+    // A directory that is cut off, whose first table claims 3 million values.
+    let mut cut = b"MM\0\x2b\0\x08\0\0\0\0\0\0\0\0\0\x10".to_vec();
+    cut.extend(15u64.to_be_bytes());
+    cut.extend([1, 0, 0, 4]);
+    cut.extend(0x002d_0000u64.to_be_bytes());
+    cut.extend([0, 0, 0, 0, 0, 0, 0, 8]);
+    cut.resize(258, 0);
+    write("claims_table.tif", &cut);
     assert!(failures.is_empty(), "{failures:#?}");
 }
 

@@ -132,8 +132,16 @@ pub(super) fn check(source: &Source<'_>, path: &Path) -> Result<(), VolumeError>
         let entry_bytes = 4 + 2 * wide as u64;
         let bytes = count * entry_bytes + wide as u64;
         let entries = read(at.saturating_add(count_bytes), bytes)?;
-        if (entries.len() as u64) < bytes {
-            // Cut off: so says the crate.
+        let is_cut = (entries.len() as u64) < bytes;
+        let (listed, next) = entries.split_at(entries.len().min((count * entry_bytes) as usize));
+        let listed: Vec<Entry> = listed
+            .chunks_exact(entry_bytes as usize)
+            .map(|entry| entry_of(entry, format))
+            .collect();
+        check_page(&listed, source.length())
+            .map_err(|(name, found, expected)| field(name, found, expected))?;
+        if is_cut {
+            // That it is, the crate tells.
             return Ok(());
         }
         left = left.checked_sub(count_bytes + bytes).ok_or_else(|| {
@@ -143,13 +151,6 @@ pub(super) fn check(source: &Source<'_>, path: &Path) -> Result<(), VolumeError>
                 "pages of their own, each listed once",
             )
         })?;
-        let (entries, next) = entries.split_at((count * entry_bytes) as usize);
-        let entries: Vec<Entry> = entries
-            .chunks_exact(entry_bytes as usize)
-            .map(|entry| entry_of(entry, format))
-            .collect();
-        check_page(&entries, source.length())
-            .map_err(|(name, found, expected)| field(name, found, expected))?;
         at = format.number(next);
     }
     Ok(())
