@@ -210,3 +210,10 @@ fn archives_of_more_members_than_bytes_are_refused_before_they_are_listed() {
     let told = message(&path);
     assert!(told.contains("claims 1099511627776 members"), "{told}");
 }
+
+#[test]
+fn big_tiffs_with_unknown_types_are_refused_rather_than_read_askew() {
+    let seeds = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fuzz/seeds/tiff/");
+    let told = message(Path::new(&format!("{seeds}unknown_types.tif")));
+    assert!(told.contains("an entry of type"), "{told}");
+}
