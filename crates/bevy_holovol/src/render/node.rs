@@ -194,6 +194,7 @@ pub(super) fn draw_mesh_depth(
 pub(super) fn trace_volumes(
     mut gpu: ResMut<VolumeGpu>,
     statistics: Res<VolumeStatistics>,
+    mut traced_frames: Local<u64>,
     mut ctx: RenderContext,
 ) {
     let Some(inner) = &mut gpu.0 else {
@@ -253,11 +254,19 @@ pub(super) fn trace_volumes(
         counters.majorant_violations += counted.majorant_violations;
         counters.nonfinite_samples += counted.nonfinite_samples;
     }
+    let least = if least == u32::MAX { 0 } else { least };
+    if samples > 0 {
+        *traced_frames += 1;
+        // Seldom, but enough to see in a log whether an app gets on.
+        if traced_frames.is_power_of_two() {
+            debug!("frame {} traced: {least} samples per pixel", *traced_frames);
+        }
+    }
     statistics.update(|statistics| {
         statistics.dispatches += dispatches;
         statistics.samples += samples;
         statistics.denoised += denoised;
-        statistics.samples_per_pixel = if least == u32::MAX { 0 } else { least };
+        statistics.samples_per_pixel = least;
         statistics.is_waiting |= is_waiting;
         statistics.is_done = is_done && !statistics.is_waiting && !plan.is_empty();
         statistics.counters = counters;
