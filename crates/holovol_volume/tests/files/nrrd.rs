@@ -189,6 +189,19 @@ fn spacings_and_units() {
         spacing(&["spacings: 1 2 3", "units: \"mm\" \"mm\" \"parsec\""]),
         ([1e3, 2e3, 3e3], 1)
     );
+    // Sizes are 3 2 1; an axis of one voxel between its nodes has no length.
+    let ends = ["axis mins: 0 -1 2", "axis maxs: 6 3 5"];
+    assert_eq!(spacing(&ends), ([2e3, 2e3, 3e3], 0));
+    let on_nodes = [ends[0], ends[1], "centers: node node cell"];
+    assert_eq!(spacing(&on_nodes), ([3e3, 4e3, 3e3], 0));
+    let on_nodes = [ends[0], ends[1], "centerings: node cell node"];
+    assert_eq!(spacing(&on_nodes), ([3e3, 2e3, 2e3], 1));
+    assert_eq!(spacing(&ends[..1]), ([1e3; 3], 1));
+    let text = message(&with(
+        &["encoding: raw", ends[0], "axis maxs: 1 2"],
+        &[0; 12],
+    ));
+    assert!(text.contains("`axis maxs`"), "{text}");
     let text = message(&with(&["encoding: raw", "spacings: 1 2"], &[0; 12]));
     assert!(
         text.contains("`spacings`") && text.contains("3 numbers"),

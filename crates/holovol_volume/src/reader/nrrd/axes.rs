@@ -172,22 +172,16 @@ impl Axes {
         header: &Header,
         notices: &mut Vec<String>,
     ) -> Result<[f64; 3], VolumeError> {
-        let Some(text) = header.field("spacings") else {
+        let (spacings, text) = if let Some(text) = header.field("spacings") {
+            (self.numbers(header, "spacings", text)?, text)
+        } else if let (Some(mins), Some(maxs)) =
+            (header.field("axis mins"), header.field("axis maxs"))
+        {
+            (self.spacings_of_ends(header, mins, maxs)?, maxs)
+        } else {
             notices.push("the header gives no spacings: taken as 1 mm".into());
             return Ok([METRES_PER_MM; 3]);
         };
-        let spacings: Vec<f64> = text
-            .split_whitespace()
-            .map(|word| word.parse().ok())
-            .collect::<Option<_>>()
-            .filter(|spacings: &Vec<f64>| spacings.len() == self.sizes.len())
-            .ok_or_else(|| {
-                header.error(
-                    "spacings",
-                    format!("{text:?}"),
-                    format!("{} numbers", self.sizes.len()),
-                )
-            })?;
         let units = quoted(header.field("units").unwrap_or_default());
         let metres: Vec<f64> = self
             .spatial
@@ -210,6 +204,43 @@ impl Axes {
             return Ok([METRES_PER_MM; 3]);
         }
         Ok(checked_spacing(spacing, 1.0, "spacing (m)", notices))
+    }
+
+    /// A field's numbers, one for each axis.
+    fn numbers(&self, header: &Header, name: &str, text: &str) -> Result<Vec<f64>, VolumeError> {
+        text.split_whitespace()
+            .map(|word| word.parse().ok())
+            .collect::<Option<_>>()
+            .filter(|numbers: &Vec<f64>| numbers.len() == self.sizes.len())
+            .ok_or_else(|| {
+                header.error(
+                    name,
+                    format!("{text:?}"),
+                    format!("{} numbers", self.sizes.len()),
+                )
+            })
+    }
+
+    /// The spacings of axes that are given by their ends: those of the outer voxels' centres where an
+    /// axis is centred on nodes, of their faces elsewhere (Teem's default).
+    fn spacings_of_ends(
+        &self,
+        header: &Header,
+        mins: &str,
+        maxs: &str,
+    ) -> Result<Vec<f64>, VolumeError> {
+        let mins = self.numbers(header, "axis mins", mins)?;
+        let maxs = self.numbers(header, "axis maxs", maxs)?;
+        let centers = header.field("centers").or(header.field("centerings"));
+        let centers = words(centers.unwrap_or_default());
+        let ends = mins.iter().zip(&maxs).enumerate();
+        Ok(ends
+            .map(|(axis, (min, max))| {
+                let on_nodes = centers.get(axis).is_some_and(|center| center == "node");
+                let steps = size(&self.sizes, axis).saturating_sub(on_nodes.into());
+                (max - min) / steps as f64
+            })
+            .collect())
     }
 }
 
