@@ -32,6 +32,8 @@ struct VolumeInfo {
     /// Where i, j, k point to in the patient; null if the header doesn't say.
     orientation: Option<String>,
     world_from_unit_cube: [[f64; 4]; 4],
+    /// Of the values, where the file says it.
+    unit: Option<String>,
     range: [f64; 2],
     mean: f64,
     /// [percent, value] pairs.
@@ -230,6 +232,7 @@ impl VolumeInfo {
             size: std::array::from_fn(|axis| spacing[axis] * f64::from(dims[axis])),
             orientation: volume.geometry().axis_codes(),
             world_from_unit_cube: world_from_unit_cube.transpose().to_cols_array_2d(),
+            unit: volume.unit().map(str::to_owned),
             range: volume.range(),
             mean: volume.mean(),
             percentiles: PERCENTS
@@ -298,10 +301,11 @@ impl VolumeInfo {
         line(
             "range",
             format!(
-                "{} … {}, mean {}",
+                "{} … {}, mean {} {}",
                 number(self.range[0]),
                 number(self.range[1]),
-                number(self.mean)
+                number(self.mean),
+                self.unit.as_deref().unwrap_or_default()
             ),
         );
         let percentiles = self

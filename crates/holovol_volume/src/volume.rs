@@ -121,6 +121,7 @@ pub struct Volume {
     source_format: Option<SourceFormat>,
     rounded: bool,
     labels: Option<Arc<Vec<Label>>>,
+    unit: Option<String>,
     notices: Vec<String>,
 }
 
@@ -207,6 +208,7 @@ impl Volume {
             source_format: None,
             rounded: false,
             labels: None,
+            unit: None,
             notices: Vec::new(),
         })
     }
@@ -226,6 +228,14 @@ impl Volume {
     /// The same volume with all display windows of its header, the preferred one first.
     pub fn with_header_windows(mut self, windows: Vec<HeaderWindow>) -> Self {
         self.header_windows = windows;
+        self
+    }
+
+    /// The same volume with the unit of its values, see [`Volume::unit`]. An empty one is none, and
+    /// no more than 16 characters are kept.
+    pub fn with_unit(mut self, unit: &str) -> Self {
+        let unit: String = unit.chars().filter(|c| !c.is_control()).take(16).collect();
+        self.unit = (!unit.trim().is_empty()).then(|| unit.trim().to_owned());
         self
     }
 
@@ -305,6 +315,11 @@ impl Volume {
     /// Voxels that were NaN or infinite in the file.
     pub fn replaced(&self) -> ReplacedVoxels {
         self.replaced
+    }
+
+    /// The unit of the values as the file gives it, such as `HU`; `None` where it gives none.
+    pub fn unit(&self) -> Option<&str> {
+        self.unit.as_deref()
     }
 
     /// The display window that the file's header asks for, in data units.

@@ -81,6 +81,9 @@ pub(super) fn write(volume: &Volume, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "space origin: {}", vector(geometry.origin * 1e3))?;
     writeln!(out, "space units: \"mm\" \"mm\" \"mm\"")?;
     writeln!(out, "kinds: domain domain domain")?;
+    if let Some(unit) = volume.unit() {
+        writeln!(out, "sample units: {unit}")?;
+    }
     writeln!(out, "endian: little")?;
     writeln!(out, "encoding: raw")?;
     for (number, label) in volume.labels().unwrap_or_default().iter().enumerate() {

@@ -265,9 +265,40 @@ fn slices_with_scalings_of_their_own_agree() {
 
 #[test]
 fn doses_are_scaled() {
-    let slice = |z: f64| Slice::at(z, [8; 4]).with_text(0x3004_000e, "0.25");
+    let slice = |z: f64| {
+        let slice = Slice::at(z, [8; 4]).with_text(0x3004_000e, "0.25");
+        slice.with_text(0x3004_0002, "GY")
+    };
     let volume = Study::new(&[slice(0.0), slice(1.0)]).volume();
     assert_eq!(volume.range(), [2.0, 2.0]);
+    assert_eq!(volume.unit(), Some("Gy"));
+}
+
+#[test]
+fn units_are_those_that_dicom_defines() {
+    let unit = |texts: &[(u32, &str)]| {
+        let slice = |z| {
+            let slice = Slice::at(z, [1; 4]);
+            texts
+                .iter()
+                .fold(slice, |slice, (tag, text)| slice.with_text(*tag, text))
+        };
+        let volume = Study::new(&[slice(0.0), slice(1.0)]).volume();
+        volume.unit().map(str::to_owned)
+    };
+    let (modality, kind, pet) = (0x0008_0060, 0x0028_1054, 0x0054_1001);
+    assert_eq!(unit(&[(modality, "CT")]).as_deref(), Some("HU"));
+    assert_eq!(unit(&[(modality, "CT"), (kind, "US")]), None);
+    assert_eq!(unit(&[(modality, "MR")]), None);
+    assert_eq!(
+        unit(&[(modality, "MR"), (kind, "HU")]).as_deref(),
+        Some("HU")
+    );
+    assert_eq!(
+        unit(&[(modality, "PT"), (pet, "BQML")]).as_deref(),
+        Some("Bq/ml")
+    );
+    assert_eq!(unit(&[(modality, "MR"), (kind, SECRET)]), None);
 }
 
 #[test]

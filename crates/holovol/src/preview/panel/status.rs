@@ -124,7 +124,8 @@ fn state(ui: &mut egui::Ui, shown: &Shown) {
                 format!("{name} {sign}{}", length_text(metres.abs()))
             });
             ui.separator();
-            ui.strong(Short(hit.value).to_string());
+            let unit = scan.volume().unit().unwrap_or_default();
+            ui.strong(format!("{} {unit}", Short(hit.value)));
             ui.label(places.join("  "));
         }
     });

@@ -214,6 +214,7 @@ impl HeaderReader {
             description: shown(text(tags::SERIES_DESCRIPTION)),
             is_localizer: text(tags::IMAGE_TYPE).to_uppercase().contains("LOCALIZER"),
             has_lut: !dataset.items(tags::MODALITY_LUT_SEQUENCE).is_empty(),
+            unit: unit(dataset),
             windows: self.windows(dataset)?,
             frames,
         }))
@@ -437,6 +438,38 @@ impl HeaderReader {
             .filter(|window| window.window[0] < window.window[1])
             .collect())
     }
+}
+
+/// The unit of the scaled values: of the terms that DICOM defines (C.11.1.1.2, C.8.9.1.1.3,
+/// C.8.8.3), so that nothing else that a file writes there is shown.
+fn unit(dataset: &Dataset<'_>) -> Option<&'static str> {
+    let shared = dataset.item(tags::SHARED_GROUPS);
+    let first = dataset.items(tags::FRAME_GROUPS).first();
+    let transform = |group: Option<&'_ Dataset<'_>>| {
+        group?
+            .item(tags::PIXEL_TRANSFORM_SEQUENCE)?
+            .text(tags::RESCALE_TYPE)
+    };
+    let of_scaling = dataset
+        .text(tags::RESCALE_TYPE)
+        .or_else(|| transform(first))
+        .or_else(|| transform(shared));
+    let is = |tag: Tag, value: &str| dataset.text(tag).is_some_and(|text| text == value);
+    Some(match of_scaling.as_deref() {
+        Some("HU" | "HU_MOD") => "HU",
+        Some("OD") => "10⁻³ OD",
+        Some("MGML") => "mg/ml",
+        Some("PCT") => "%",
+        Some("ED") => "10²³/ml",
+        Some("EDW") => "10²³/ml of water",
+        _ if is(tags::UNITS, "BQML") => "Bq/ml",
+        _ if is(tags::UNITS, "GML") => "g/ml",
+        _ if is(tags::UNITS, "CNTS") => "counts",
+        _ if is(tags::DOSE_UNITS, "GY") => "Gy",
+        // Type 2 in the CT module: where it is missing, it is HU.
+        None if is(tags::MODALITY, "CT") => "HU",
+        _ => return None,
+    })
 }
 
 /// The stored values that mean "nothing was measured here".

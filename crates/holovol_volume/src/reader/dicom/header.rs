@@ -68,6 +68,8 @@ pub(super) struct Image {
     pub series_uid: String,
     pub series_number: f64,
     pub modality: String,
+    /// Of the values after scaling.
+    pub unit: Option<&'static str>,
     pub description: String,
     pub is_localizer: bool,
     pub has_lut: bool,

@@ -118,7 +118,9 @@ pub(super) fn load(
             },
         });
     let windows = windows(study, &stack.slices, image, &volume);
-    volume = volume.with_header_windows(windows);
+    volume = volume
+        .with_header_windows(windows)
+        .with_unit(image.unit.unwrap_or_default());
     for notice in notices(study, series, image, fill, same_scaling) {
         volume = volume.with_notice(notice);
     }

@@ -98,6 +98,9 @@ impl VolumeReader for NrrdReader {
         if let Some(labels) = header.labels() {
             volume = volume.with_labels(labels);
         }
+        if let Some(unit) = header.field("sample units") {
+            volume = volume.with_unit(unit.trim_matches('"'));
+        }
         Ok(notices.into_iter().fold(volume, Volume::with_notice))
     }
 
