@@ -67,6 +67,18 @@ pub(crate) struct Plane {
     pub(crate) is_on: bool,
 }
 
+/// The side of the crop box that a cut in coordinates of the unit cube is: axis, whether it is the
+/// high one, and where. The box keeps its least thickness, so a cut beyond that is none.
+fn side(cut: DVec4) -> Option<(usize, bool, f64)> {
+    let normal = cut.truncate();
+    let axis = normal.abs().max_position();
+    let others = DVec3::ONE - DVec3::AXES[axis];
+    let at = -cut.w / normal[axis];
+    let is_along = (normal * others).length() < 1e-6 * normal.length();
+    let inside = Crop::THINNEST..=1.0 - Crop::THINNEST;
+    (is_along && inside.contains(&at)).then_some((axis, normal[axis] < 0.0, at))
+}
+
 impl Plane {
     /// The plane that leaves out what lies at n·x + w < 0 of a scan with this middle.
     pub(crate) fn from_cut(cut: DVec4, middle: DVec3) -> Self {
@@ -229,6 +241,28 @@ impl Look {
         planes
     }
 
+    /// Cuts as [`Self::clip_planes`] gives them: those along the scan's own axes become sides of the
+    /// crop box.
+    pub(crate) fn set_cuts(&mut self, cuts: &[DVec4], world_from_unit_cube: DMat4) {
+        self.crop = Crop::default();
+        self.planes.clear();
+        let middle = world_from_unit_cube.transform_point3(DVec3::splat(0.5));
+        for &cut in cuts {
+            match side(world_from_unit_cube.transpose() * cut) {
+                Some((axis, is_high, at)) => {
+                    let inner = if is_high {
+                        at.min(self.crop.high[axis])
+                    } else {
+                        at.max(self.crop.low[axis])
+                    };
+                    self.crop.set_side(axis, is_high, inner);
+                    self.crop.is_on = true;
+                }
+                None => self.planes.push(Plane::from_cut(cut, middle)),
+            }
+        }
+    }
+
     /// The camera's setting for [`Self::exposure_ev`], in Bevy's terms.
     pub(crate) fn exposure(&self) -> Exposure {
         let factor = self.exposure_ev.exp2() / f64::from(DEFAULT_INTENSITY);
@@ -367,6 +401,30 @@ mod tests {
             let stays = planes.iter().all(|plane| plane.dot(at) >= 0.0);
             assert_eq!(stays, is_in, "{unit}");
         }
+        // It comes back from a scene, with a free plane beside it.
+        look.planes.push(Plane {
+            normal: DVec3::new(0.6, 0.0, 0.8),
+            offset: 0.01,
+            is_on: true,
+        });
+        let cuts = look.clip_planes(matrix);
+        let mut again = Look::default();
+        again.set_cuts(&cuts, matrix);
+        assert!(again.crop.is_on);
+        assert!(
+            again.crop.low.distance(look.crop.low) < 1e-12,
+            "{:?}",
+            again.crop
+        );
+        assert!(
+            again.crop.high.distance(look.crop.high) < 1e-12,
+            "{:?}",
+            again.crop
+        );
+        let [plane] = again.planes[..] else {
+            panic!("{:?}", again.planes);
+        };
+        assert!((plane.offset - 0.01).abs() < 1e-12);
         look.crop.set_side(0, true, 0.0);
         assert!(look.crop.high.x > look.crop.low.x);
     }

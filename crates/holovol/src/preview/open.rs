@@ -16,7 +16,7 @@ use holovol_volume::{CancelFlag, Content, ReadOptions, TransferFunctionFile, Vol
 
 use super::camera::Orbit;
 use super::lights::Overview;
-use super::look::{Light, LightSource, Look, Plane};
+use super::look::{Light, LightSource, Look};
 use super::presets::Preset;
 use super::recovery::Restored;
 use super::settings::Settings;
@@ -420,12 +420,7 @@ impl Show<'_, '_> {
                 let map = self.environments.add(parts.environment);
                 let stops = (parts.intensity / DEFAULT_INTENSITY).log2();
                 let function = parts.transfer_function.file();
-                let middle = opened.scan.middle();
-                let planes = parts.clip_planes.iter();
-                let look = Look {
-                    planes: planes
-                        .map(|&plane| Plane::from_cut(plane, middle))
-                        .collect(),
+                let mut look = Look {
                     window: parts.medium.window.map_or([0.0, 1.0], |(a, b)| [a, b]),
                     gradient_factor: parts.medium.gradient_factor,
                     phase_g: parts.medium.phase_g,
@@ -448,6 +443,7 @@ impl Show<'_, '_> {
                     optical_depth_scale: function.optical_depth_scale,
                     ..Look::default()
                 };
+                look.set_cuts(&parts.clip_planes, opened.scan.world_from_unit_cube());
                 let up = parts.camera.up().as_vec3();
                 let orbit = Orbit::looking(parts.target, parts.camera.translation, up);
                 self.begin(session, name, opened.scan, look);
