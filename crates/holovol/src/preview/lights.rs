@@ -1,4 +1,4 @@
-//! What the panel shows of the light: the panorama, the brightest places in it, and a sphere.
+//! What the panel shows of the light: the panorama and a sphere.
 
 use std::f64::consts::{PI, TAU};
 
@@ -16,23 +16,10 @@ pub(crate) struct Overview {
     mean: f64,
 }
 
-/// A bright place.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Bright {
-    /// In the map's own frame.
-    pub(crate) direction: DVec3,
-    /// Of all light, 0 … 1.
-    pub(crate) share: f64,
-}
-
 pub(crate) const WIDTH: usize = 128;
 pub(crate) const HEIGHT: usize = 64;
-/// Times the mean from which on a place counts as a light.
-const BRIGHT: f64 = 6.0;
 /// What chalk in the brightest light is exposed to.
 const WHITE: f64 = 0.9;
-/// Of all light, that a place must give to be told of.
-const SHARE_MIN: f64 = 0.01;
 
 /// Solid angle of a texel of the overview.
 fn solid_angle(row: usize) -> f64 {
@@ -107,50 +94,6 @@ impl Overview {
             .collect()
     }
 
-    /// Bright places, the strongest first.
-    pub(crate) fn lights(&self) -> Vec<Bright> {
-        let level = BRIGHT * self.mean;
-        let all = (4.0 * PI * self.mean).max(1e-30);
-        let mut is_open: Vec<bool> = self
-            .texels
-            .iter()
-            .map(|texel| luminance(*texel) > level)
-            .collect();
-        let mut found = Vec::new();
-        for start in 0..is_open.len() {
-            if !is_open[start] {
-                continue;
-            }
-            is_open[start] = false;
-            let (mut waiting, mut flux, mut sum) = (vec![start], 0.0, DVec3::ZERO);
-            while let Some(index) = waiting.pop() {
-                let (x, y) = (index % WIDTH, index / WIDTH);
-                let power = luminance(self.texels[index]) * solid_angle(y);
-                flux += power;
-                sum += direction(index) * power;
-                let beside = [
-                    Some((x + 1) % WIDTH + WIDTH * y),
-                    Some((x + WIDTH - 1) % WIDTH + WIDTH * y),
-                    (y > 0).then(|| index - WIDTH),
-                    (y + 1 < HEIGHT).then(|| index + WIDTH),
-                ];
-                for next in beside.into_iter().flatten() {
-                    if std::mem::take(&mut is_open[next]) {
-                        waiting.push(next);
-                    }
-                }
-            }
-            found.push(Bright {
-                direction: sum.normalize_or_zero(),
-                share: flux / all,
-            });
-        }
-        found.retain(|light| light.share >= SHARE_MIN);
-        found.sort_by(|a, b| b.share.total_cmp(&a.share));
-        found.truncate(8);
-        found
-    }
-
     /// A ball in this light, its left half a mirror and its right half chalk; `size` × `size`
     /// sRGB with opacity. `rotation_y` in radians, seen along −z.
     pub(crate) fn ball(&self, rotation_y: f64, size: usize) -> Vec<[u8; 4]> {
@@ -220,24 +163,6 @@ mod tests {
             [if at.dot(lamp) > 0.99 { 500.0 } else { 0.1 }; 3]
         });
         EnvironmentMap::new(width, height, texels.collect())
-    }
-
-    #[test]
-    fn a_lamp_is_found_also_across_the_seam() {
-        for lamp in [DVec3::new(0.3, 0.5, -0.7), DVec3::new(0.01, 0.2, 1.0)] {
-            let lamp = lamp.normalize();
-            let overview = Overview::new(&room(lamp));
-            let lights = overview.lights();
-            assert_eq!(lights.len(), 1, "{lights:?}");
-            assert!(lights[0].direction.dot(lamp) > 0.999, "{lights:?}");
-            // 500 · 2π · 0.01 of that and 0.1 · 4π.
-            assert!((lights[0].share - 0.962).abs() < 0.02, "{lights:?}");
-        }
-        assert!(
-            Overview::new(&EnvironmentMap::constant([1.0; 3]))
-                .lights()
-                .is_empty()
-        );
     }
 
     #[test]

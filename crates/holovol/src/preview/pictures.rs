@@ -22,7 +22,7 @@ use crate::{Exit, Failure, output, picture};
 pub(crate) struct Order {
     pub(crate) scene: SceneFile,
     pub(crate) volume: Volume,
-    pub(crate) map: EnvironmentMap,
+    pub(crate) map: Arc<EnvironmentMap>,
     /// One picture each; PNG or EXR, as the name says.
     pub(crate) pictures: Vec<(CameraEntry, PathBuf)>,
     /// Per pixel.
@@ -104,7 +104,11 @@ fn take(order: &Order, goes_on: &dyn Fn(f64) -> bool) -> Result<String, Failure>
     for (index, (entry, path)) in order.pictures.iter().enumerate() {
         let mut file = order.scene.clone();
         file.camera = *entry;
-        let sequence = Sequence::with_data(&file, order.volume.clone(), order.map.clone())?;
+        let sequence = Sequence::with_data(
+            &file,
+            order.volume.clone(),
+            EnvironmentMap::clone(&order.map),
+        )?;
         let scene = sequence.frame(0)?;
         let image = camera.trace(&scene.camera, order.samples, &|part| {
             goes_on((index as f64 + part) / count as f64)
@@ -141,7 +145,11 @@ struct Camera {
 
 impl Camera {
     fn new(order: &Order) -> Result<Self, Failure> {
-        let sequence = Sequence::with_data(&order.scene, order.volume.clone(), order.map.clone())?;
+        let sequence = Sequence::with_data(
+            &order.scene,
+            order.volume.clone(),
+            EnvironmentMap::clone(&order.map),
+        )?;
         let scene = sequence.frame(0)?;
         let gpu = Gpu::new(None)?;
         let kernels = Arc::new(Kernels::new(&gpu)?);

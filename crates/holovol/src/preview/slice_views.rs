@@ -7,11 +7,11 @@ use super::panel::{Panel, Shown};
 use super::slices::{Cut, Field, resample};
 use super::studio::Scan;
 
-/// Pixels along a cut, and logical pixels on the screen.
-const PIXELS: usize = 224;
-const SIDE: f32 = 196.0;
-/// What the window takes of the screen.
-pub(crate) const WIDTH: f32 = SIDE + 28.0;
+/// Logical pixels along a cut: the least, the most, and of the screen's width.
+const SIDES: [f32; 2] = [96.0, 420.0];
+const WIDTH_SHARE: f32 = 0.24;
+/// The enlarged cut has this side, the others the rest of three.
+const LARGE: f32 = 2.0;
 
 #[derive(Default)]
 pub(crate) struct SliceViews {
@@ -19,12 +19,30 @@ pub(crate) struct SliceViews {
     /// Where the three meet; the scan's middle at first.
     pub(crate) cross: Option<DVec3>,
     drawn: [Option<Drawn>; 3],
+    /// The cut that is larger than the others.
+    large: Option<usize>,
     /// The scan that `cross` is in.
     of: u32,
 }
 
+impl SliceViews {
+    /// What the window takes of the screen's width.
+    pub(crate) fn width(&self, screen: Rect) -> f32 {
+        let largest = if self.large.is_some() { LARGE } else { 1.0 };
+        largest * side(screen) + 28.0
+    }
+}
+
+/// Logical pixels along each of three cuts of the same size.
+fn side(screen: Rect) -> f32 {
+    let [least, most] = SIDES;
+    let fits = (screen.height() - 130.0) / 3.0 - 8.0;
+    fits.min(WIDTH_SHARE * screen.width()).clamp(least, most)
+}
+
 struct Drawn {
     at: f64,
+    pixels: usize,
     grey: [f64; 2],
     texture: egui::TextureHandle,
 }
@@ -43,15 +61,25 @@ pub(crate) fn draw(context: &egui::Context, panel: &mut Panel, shown: &mut Shown
         views.drawn = Default::default();
     }
     let mut cross = views.cross.unwrap_or(scan.middle());
-    let side = SIDE.min((context.viewport_rect().height() - 130.0) / 3.0 - 8.0);
+    let side = side(context.viewport_rect());
+    let large = views.large;
     egui::Window::new("slices")
         .title_bar(false)
         .anchor(Align2::LEFT_TOP, [8.0, 8.0])
         .resizable(false)
         .show(context, |ui| {
             ui.spacing_mut().item_spacing.y = 4.0;
-            for (cut, drawn) in Cut::ALL.into_iter().zip(&mut views.drawn) {
-                cross = one(ui, cut, drawn, scan, cross, side);
+            for (index, (cut, drawn)) in Cut::ALL.into_iter().zip(&mut views.drawn).enumerate() {
+                let side = match large {
+                    None => side,
+                    Some(large) if large == index => LARGE * side,
+                    Some(_) => 0.5 * (3.0 - LARGE) * side,
+                };
+                let (moved, is_enlarged) = one(ui, cut, drawn, scan, cross, side);
+                cross = moved;
+                if is_enlarged {
+                    views.large = (large != Some(index)).then_some(index);
+                }
             }
             let speed = ((scan.grey[1] - scan.grey[0]) / 300.0).abs().max(1e-9);
             ui.horizontal(|ui| {
@@ -69,12 +97,13 @@ pub(crate) fn draw(context: &egui::Context, panel: &mut Panel, shown: &mut Shown
                 .inverse()
                 .transform_point3(cross);
             let value = scan.volume().sample(unit);
-            ui.label(format!("value {value:.2}"));
+            let shown = scan.volume().unit().unwrap_or_default();
+            ui.label(format!("value {value:.2} {shown}"));
         });
     views.cross = Some(cross);
 }
 
-/// One cut; gives where the cross is now.
+/// One cut; gives where the cross is now, and whether the cut is to be larger, or smaller again.
 fn one(
     ui: &mut egui::Ui,
     cut: Cut,
@@ -82,24 +111,27 @@ fn one(
     scan: &Scan,
     cross: DVec3,
     side: f32,
-) -> DVec3 {
+) -> (DVec3, bool) {
     let matrix = scan.world_from_unit_cube();
     let field = Field::of(matrix);
     let at = cross[cut.across()];
-    let is_same = |drawn: &Drawn| drawn.at == at && drawn.grey == scan.grey;
+    let pixels = (side * ui.ctx().pixels_per_point()).round() as usize;
+    let is_same = |drawn: &Drawn| (drawn.at, drawn.grey, drawn.pixels) == (at, scan.grey, pixels);
     if !drawn.as_ref().is_some_and(is_same) {
-        let grey = resample(scan.volume(), matrix, cut, cross, scan.grey, PIXELS);
-        let image = ColorImage::from_gray([PIXELS, PIXELS], &grey);
+        let grey = resample(scan.volume(), matrix, cut, cross, scan.grey, pixels);
+        let image = ColorImage::from_gray([pixels, pixels], &grey);
         let options = egui::TextureOptions::LINEAR;
         match drawn {
             Some(drawn) => {
                 drawn.texture.set(image, options);
                 drawn.at = at;
                 drawn.grey = scan.grey;
+                drawn.pixels = pixels;
             }
             None => {
                 *drawn = Some(Drawn {
                     at,
+                    pixels,
                     grey: scan.grey,
                     texture: ui.ctx().load_texture(cut.name(), image, options),
                 });
@@ -154,7 +186,7 @@ fn one(
         let lines = ui.input(|input| input.smooth_scroll_delta().y) / 24.0;
         if lines != 0.0 {
             // A voxel or so per line of the wheel.
-            let step = 2.0 * field.half / PIXELS as f64;
+            let step = 2.0 * field.half / 224.0;
             let axis = cut.across();
             let to = moved[axis] + step * f64::from(lines);
             moved[axis] = to.clamp(
@@ -163,5 +195,6 @@ fn one(
             );
         }
     }
-    moved
+    let is_enlarged = response.double_clicked();
+    (moved, is_enlarged)
 }

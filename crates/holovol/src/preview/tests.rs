@@ -338,7 +338,7 @@ fn pictures_are_cut_as_the_view_is_and_keep_opacity() {
             ..scene_io::scene_file(&look, &scan, &view)
         },
         volume: scan.volume().clone(),
-        map: room(),
+        map: Arc::new(room()),
         pictures: vec![(view.camera(), path.to_owned())],
         samples: 16,
     };

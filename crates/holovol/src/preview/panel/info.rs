@@ -48,6 +48,10 @@ pub(super) fn numbers(ui: &mut egui::Ui, shown: &Shown) {
         let megabytes = bytes as f64 / f64::from(1 << 20);
         rows.push(("memory of voxels".into(), format!("{megabytes:.1} MiB")));
     }
+    if let Some(bytes) = device_memory(ui, shown) {
+        let megabytes = bytes as f64 / f64::from(1 << 20);
+        rows.push(("memory of the device".into(), format!("{megabytes:.0} MiB")));
+    }
     egui::Grid::new("numbers").num_columns(2).show(ui, |ui| {
         for (name, value) in rows {
             ui.label(name);
@@ -55,6 +59,21 @@ pub(super) fn numbers(ui: &mut egui::Ui, shown: &Shown) {
             ui.end_row();
         }
     });
+}
+
+/// Bytes that the program has on the graphics device, where the driver's allocator can tell. To
+/// count them takes a list of all, so that it is done once a second.
+fn device_memory(ui: &egui::Ui, shown: &Shown) -> Option<u64> {
+    let (now, id) = (ui.input(|input| input.time), ui.id().with("memory"));
+    let (of, bytes) = ui
+        .data(|data| data.get_temp::<(f64, Option<u64>)>(id))
+        .filter(|(of, _)| (0.0..1.0).contains(&(now - of)))
+        .unwrap_or_else(|| {
+            let report = shown.device.wgpu_device().generate_allocator_report();
+            (now, report.map(|report| report.total_allocated_bytes))
+        });
+    ui.data_mut(|data| data.insert_temp(id, (of, bytes)));
+    bytes
 }
 
 pub(super) fn about(context: &egui::Context, panel: &mut Panel) {

@@ -10,7 +10,7 @@ use glam::DVec3;
 use super::{Panel, Shown, view};
 
 /// What the panel says of them.
-pub(super) const LIST: [(&str, &str); 21] = [
+pub(super) const LIST: [(&str, &str); 22] = [
     ("drag, one finger", "turn"),
     ("right or Shift drag, two fingers", "move"),
     ("wheel, pinch", "nearer, farther"),
@@ -32,6 +32,7 @@ pub(super) const LIST: [(&str, &str); 21] = [
     ("F1", "about"),
     ("double click on the curve", "another point"),
     ("right click on a point", "delete it"),
+    ("double click on a slice", "larger, smaller"),
 ];
 
 /// Held, letters are other shortcuts than alone.

@@ -1,9 +1,11 @@
 //! Light: where it comes from, its panorama with what is bright in it, and a ball in it.
 
+use bevy::tasks::{AsyncComputeTaskPool, Task, block_on, poll_once};
 use bevy_egui::egui::{self, Color32, ColorImage, Pos2, Rect, Sense, Stroke, TextureOptions, vec2};
 use holovol_light::EnvironmentMap;
+use holovol_light::estimate::{FoundLight, LightClass, find_lights};
 
-use super::super::lights::{Bright, HEIGHT, Overview, WIDTH};
+use super::super::lights::{HEIGHT, Overview, WIDTH};
 use super::super::look::{Light, LightSource, Look};
 use super::{Panel, Shown as PanelShown};
 
@@ -12,9 +14,11 @@ use super::{Panel, Shown as PanelShown};
 pub(crate) struct Shown {
     of: Option<LightSource>,
     overview: Option<Overview>,
-    lights: Vec<Bright>,
+    lights: Vec<FoundLight>,
     panorama: Option<egui::TextureHandle>,
     ball: Option<(i32, egui::TextureHandle)>,
+    /// Another light that is being looked at: 8K take some tenths of a second.
+    looking: Option<Task<Self>>,
 }
 
 /// Pixels along the ball.
@@ -52,25 +56,71 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut PanelShown)
         ui.end_row();
     });
     ui.checkbox(&mut light.is_sky, "show it behind the scan");
-    if !panel.light.lights.is_empty() {
-        let shares: Vec<String> = panel
-            .light
-            .lights
-            .iter()
-            .enumerate()
-            .map(|(i, light)| format!("{}: {:.0} %", i + 1, 100.0 * light.share))
-            .collect();
-        ui.label(format!("lights found, of all light: {}", shares.join("  ")));
+    let lights = &panel.light.lights;
+    if !lights.is_empty() {
+        ui.label("lights found, of all light:");
+        ui.horizontal_wrapped(|ui| {
+            for (index, found) in lights.iter().enumerate() {
+                let share = 100.0 * found.share;
+                ui.label(format!(
+                    "{}: {}, {share:.0} %",
+                    index + 1,
+                    name(found.class)
+                ))
+                .on_hover_text(whereabouts(found, light.rotation_deg));
+            }
+        });
     }
+}
+
+fn name(class: LightClass) -> &'static str {
+    match class {
+        LightClass::Sun => "sun",
+        LightClass::Lamp => "lamp",
+        LightClass::Window => "window or sky",
+        LightClass::Reflection => "reflection",
+    }
+}
+
+/// Where a light stands, as seen from the scan looking along −z, and how large it is.
+fn whereabouts(light: &FoundLight, rotation_deg: f64) -> String {
+    let d = light.direction;
+    let right = (d.x.atan2(-d.z).to_degrees() - rotation_deg + 180.0).rem_euclid(360.0) - 180.0;
+    let up = d.y.clamp(-1.0, 1.0).asin().to_degrees();
+    let side = if right < 0.0 { "left" } else { "right" };
+    let height = if up < 0.0 { "down" } else { "up" };
+    // Across a disc of the same solid angle.
+    let across = 2.0
+        * (light.solid_angle / std::f64::consts::PI)
+            .sqrt()
+            .to_degrees();
+    format!(
+        "{:.0}° {side}, {:.0}° {height}; {across:.1}° across",
+        right.abs(),
+        up.abs()
+    )
 }
 
 /// Looks at the light again if it is another.
 fn refresh(ui: &egui::Ui, drawn: &mut Shown, shown: &PanelShown) {
     let source = &shown.studio.look.light.source;
-    if drawn.of.as_ref() != Some(source)
+    if let Some(seen) = drawn
+        .looking
+        .as_mut()
+        .and_then(|task| block_on(poll_once(task)))
+    {
+        *drawn = seen;
+    }
+    if drawn.looking.is_none()
+        && drawn.of.as_ref() != Some(source)
         && let Some(map) = shown.map()
     {
-        *drawn = Shown::of(source.clone(), &map);
+        let source = source.clone();
+        let task = async move { Shown::of(source, &map) };
+        drawn.looking = Some(AsyncComputeTaskPool::get().spawn(task));
+    }
+    if drawn.looking.is_some() {
+        ui.ctx().request_repaint();
     }
     let Some(overview) = &drawn.overview else {
         return;
@@ -113,10 +163,11 @@ impl Shown {
         let overview = Overview::new(map);
         Self {
             of: Some(source),
-            lights: overview.lights(),
+            lights: find_lights(map),
             overview: Some(overview),
             panorama: None,
             ball: None,
+            looking: None,
         }
     }
 }

@@ -12,11 +12,12 @@ mod status;
 mod view;
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use bevy::camera::{Exposure, Viewport};
 use bevy::diagnostic::DiagnosticsStore;
 use bevy::prelude::*;
-use bevy::render::renderer::RenderAdapterInfo;
+use bevy::render::renderer::{RenderAdapterInfo, RenderDevice};
 use bevy_egui::egui::text::LayoutJob;
 use bevy_egui::{EguiContexts, EguiPreUpdateSet, EguiPrimaryContextPass, egui};
 use bevy_holovol::VolumeStatistics;
@@ -122,6 +123,7 @@ pub(crate) struct Shown<'w, 's> {
     diagnostics: Res<'w, DiagnosticsStore>,
     quality: Res<'w, Quality>,
     adapter: Res<'w, RenderAdapterInfo>,
+    device: Res<'w, RenderDevice>,
 }
 
 impl Shown<'_, '_> {
@@ -132,13 +134,10 @@ impl Shown<'_, '_> {
     }
 
     /// The map that lights everything.
-    fn map(&self) -> Option<EnvironmentMap> {
+    fn map(&self) -> Option<Arc<EnvironmentMap>> {
         match &self.studio.look.light.source {
-            LightSource::Constant(radiance) => Some(EnvironmentMap::constant(*radiance)),
-            LightSource::Map { map, .. } => {
-                let asset = self.environments.get(map)?;
-                Some(EnvironmentMap::clone(asset.map()))
-            }
+            LightSource::Constant(radiance) => Some(Arc::new(EnvironmentMap::constant(*radiance))),
+            LightSource::Map { map, .. } => Some(Arc::clone(self.environments.get(map)?.map())),
         }
     }
 
@@ -161,7 +160,7 @@ impl Shown<'_, '_> {
         let file = scene_io::scene_file(look, scan, &view);
         let map = self.map();
         let source = &look.light.source;
-        let outcome = scene_io::save(file, scan, source, map.as_ref(), &path).map(|files| {
+        let outcome = scene_io::save(file, scan, source, map.as_deref(), &path).map(|files| {
             let beside = match files.len() {
                 1 => "",
                 _ => ", with the files that it needs beside it",
@@ -255,7 +254,7 @@ fn draw(mut contexts: EguiContexts, mut panel: ResMut<Panel>, mut shown: Shown) 
         free.max.x -= WIDTH + 28.0;
     }
     if panel.slices.is_open {
-        free.min.x += slice_views::WIDTH;
+        free.min.x += panel.slices.width(context.viewport_rect());
     }
     fit_viewport(&context, free, &mut shown);
     paint_beside(&context, free);
