@@ -139,6 +139,9 @@ pub struct Statistics {
     pub depth_passes: u64,
     /// Volumes, transfer functions and environments uploaded since the start.
     pub uploads: u64,
+    /// Times since the start that other room was made for images, which begin anew by it: when
+    /// cameras come and go, or a view outgrows its room.
+    pub resizes: u64,
     /// Least samples per pixel among the images of the last frame.
     pub samples_per_pixel: u32,
     /// All images of the last frame have all their samples.

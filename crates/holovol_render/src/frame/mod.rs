@@ -5,7 +5,8 @@
 //! the caller's, for up to [`MAX_VIEWS`] views in one dispatch, and never waits for the device.
 //! A view that has not changed gathers further samples; one that has, or whose volume has, begins
 //! anew; one that has as many as it wants costs nothing. Paths that outlive their dispatch go on in
-//! a further one of the same frame; none is cut.
+//! a further one of the same frame; none is cut. A frame of many samples is split into dispatches
+//! that a driver's watchdog lets pass.
 //!
 //! Uploading a volume ([`GpuVolume::new`]) waits for the device: do it on a worker.
 
@@ -13,11 +14,12 @@ mod kernels;
 mod readback;
 mod resume;
 mod shares;
+mod split;
 mod view;
 
 use std::sync::Arc;
 
-use bytemuck::Zeroable;
+use glam::DMat4;
 
 pub(crate) use kernels::FrameKernels;
 pub use kernels::Kernels;
@@ -27,6 +29,7 @@ pub(crate) use resume::RESUME;
 use resume::Resume;
 use shares::Shares;
 pub use shares::{SHARE_BLOCK, SampleShares};
+use split::{SAMPLES_PER_DISPATCH, Split};
 use view::Slot;
 pub use view::{FrameImage, FrameWork, ViewFrame};
 
@@ -74,6 +77,9 @@ pub struct FrameTracer {
     beginnings: u64,
     /// With what they were compiled for: mesh depth, shares of samples.
     special_kernels: Option<([bool; 2], FrameKernels)>,
+    /// What the parts of a frame that takes several dispatches are told, one after the other.
+    parts: Option<wgpu::Buffer>,
+    samples_per_dispatch: u64,
     /// For tests.
     general_only: bool,
 }
@@ -120,6 +126,8 @@ impl FrameTracer {
             counters: Counters::default(),
             beginnings: 0,
             special_kernels: None,
+            parts: None,
+            samples_per_dispatch: SAMPLES_PER_DISPATCH,
             general_only: false,
         };
         tracer.kernels(false)?;
@@ -168,7 +176,7 @@ impl FrameTracer {
         self.bind_groups = None;
         self.special_kernels = None;
         for slot in &mut self.slots {
-            slot.view = None;
+            slot.is_stale = true;
         }
         self.buffers.set_medium(
             &self.gpu,
@@ -210,23 +218,18 @@ impl FrameTracer {
                 ),
             });
         }
+        let buffers = Buffers::new(&self.gpu, total, &self.options)?;
+        self.resume.set_buffers(&self.gpu, &buffers)?;
         // Samples of what was drawn go with the buffers; so do paths that were saved.
-        self.buffers = Buffers::new(&self.gpu, total, &self.options)?;
-        self.resume = Resume::new(&self.gpu, &self.buffers)?;
+        self.slots.clear();
+        self.buffers = buffers;
         self.upload_medium()?;
         self.shares.set_slots(rooms.len());
         let mut first_pixel = 0;
         self.slots = rooms
             .iter()
             .map(|&room| {
-                let slot = Slot {
-                    first_pixel,
-                    room,
-                    view: None,
-                    mesh_depth: None,
-                    samples: 0,
-                    uniform: ViewUniform::zeroed(),
-                };
+                let slot = Slot::empty(first_pixel, room);
                 first_pixel += pixels(room) as u32;
                 slot
             })
@@ -248,7 +251,7 @@ impl FrameTracer {
         if self.shares.set(&self.gpu, slot, shares)?
             && let Some(slot) = self.slots.get_mut(slot)
         {
-            slot.view = None;
+            slot.is_stale = true;
         }
         if self.shares.view() != view.as_ref() {
             self.bind_groups = None;
@@ -273,10 +276,7 @@ impl FrameTracer {
         let mesh_depth = mesh_depth.and_then(MeshDepth::view);
         let ends_at_meshes = mesh_depth.is_some() && views.iter().any(|v| v.mesh_depth.is_some());
         let Some(kernels) = self.kernels(ends_at_meshes)? else {
-            // What was asked for now must not be forgotten until they are there.
-            for frame in views.iter().filter(|frame| frame.restart) {
-                self.slots[frame.slot].view = None;
-            }
+            self.pass_over(views);
             return Ok(FrameWork {
                 is_waiting: true,
                 ..Default::default()
@@ -293,7 +293,26 @@ impl FrameTracer {
             return Ok(FrameWork::default());
         }
         self.bind(mesh_depth)?;
-        Ok(self.record_dispatches(encoder, &kernels))
+        self.record_dispatches(encoder, &kernels)
+    }
+
+    /// A frame goes by without [`Self::record`]: images that it wants anew stay as they are until
+    /// they begin, but get no further samples.
+    pub fn pass_over(&mut self, views: &[ViewFrame]) {
+        for frame in views.iter().filter(|frame| frame.restart) {
+            if let Some(slot) = self.slots.get_mut(frame.slot) {
+                slot.is_stale = true;
+            }
+        }
+    }
+
+    /// Whether [`Self::record`] would not have to wait for the compiler; asks for what is missing.
+    /// `mesh_depth` says whether paths are to end at meshes.
+    ///
+    /// # Errors
+    /// If the kernels don't compile.
+    pub fn is_ready(&mut self, mesh_depth: bool) -> Result<bool, RenderError> {
+        self.kernels(mesh_depth).map(|kernels| kernels.is_some())
     }
 
     /// Whether a view would be given samples.
@@ -301,9 +320,11 @@ impl FrameTracer {
         let Some(slot) = self.slots.get(frame.slot) else {
             return false;
         };
-        let begins =
-            frame.restart || slot.view != Some(frame.view) || slot.mesh_depth != frame.mesh_depth;
-        let samples = if begins { 0 } else { slot.samples };
+        let samples = if slot.begins_with(frame) {
+            0
+        } else {
+            slot.samples
+        };
         frame.samples > 0 && samples < frame.max_samples
     }
 
@@ -352,8 +373,13 @@ impl FrameTracer {
             width <= slot.room[0] && height <= slot.room[1],
             "a view no larger than its room"
         );
-        let is_new = slot.view != Some(frame.view) || slot.mesh_depth != frame.mesh_depth;
-        if frame.restart || is_new {
+        let begins = slot.begins_with(frame);
+        if frame.samples == 0 {
+            // Stands still, with what there is.
+            slot.is_stale |= frame.restart;
+            return;
+        }
+        if begins {
             let pixel = PIXEL_BYTES;
             encoder.clear_buffer(
                 &self.buffers.accumulators,
@@ -361,6 +387,8 @@ impl FrameTracer {
                 Some(pixel * u64::from(width) * u64::from(height)),
             );
             slot.view = Some(frame.view);
+            slot.is_stale = false;
+            slot.world_from_unit_cube = self.medium.world_from_unit_cube;
             slot.mesh_depth = frame.mesh_depth;
             slot.samples = 0;
             self.beginnings += 1;
@@ -404,10 +432,10 @@ impl FrameTracer {
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
         kernels: &FrameKernels,
-    ) -> FrameWork {
+    ) -> Result<FrameWork, RenderError> {
         let mut work = FrameWork::default();
-        let Some(bind_groups) = &self.bind_groups else {
-            return work;
+        let Some(bind_groups) = self.bind_groups.clone() else {
+            return Ok(work);
         };
         let traced = || self.slots.iter().filter(|slot| slot.is_traced());
         let [left, top, right, bottom] = traced()
@@ -421,47 +449,71 @@ impl FrameTracer {
                 ]
             });
         // Blocks that share their samples are workgroups.
-        let [left, top] = match self.shares.are_there() {
+        let has_shares = self.shares.are_there();
+        let [left, top] = match has_shares {
             true => [left, top].map(|n| n / SHARE_BLOCK * SHARE_BLOCK),
             false => [left, top],
         };
-        let tile_size = [right.saturating_sub(left), bottom.saturating_sub(top)];
-        let uniform = DispatchUniform {
-            tile_origin: [left, top],
-            tile_size,
-            seed: 0,
-            budget: self.options.budget,
-            resumed_paths: 0,
-            queue_capacity: QUEUE_CAPACITY,
-        };
+        let count = |slot: &Slot| slot.uniform.samples[1] - slot.uniform.samples[0];
+        let split = Split::new(
+            [left, top, right, bottom],
+            traced().count() as u32,
+            traced().map(count).max().unwrap_or(0),
+            // A block's share is of all samples.
+            has_shares,
+            self.samples_per_dispatch,
+        );
+        let tiles: Vec<_> = split
+            .tiles()
+            .map(|[tile_origin, tile_size]| DispatchUniform {
+                tile_origin,
+                tile_size,
+                seed: 0,
+                budget: self.options.budget,
+                resumed_paths: 0,
+                queue_capacity: QUEUE_CAPACITY,
+            })
+            .collect();
         // Slots keep their place, so that a path that was saved finds its view again.
         let views: Vec<_> = self.slots.iter().map(|slot| slot.uniform).collect();
-        let queue = &self.gpu.queue;
-        queue.write_buffer(&self.buffers.dispatch, 0, bytemuck::bytes_of(&uniform));
-        queue.write_buffer(&self.buffers.views, 0, bytemuck::cast_slice(&views));
-        // The words that the kernels which count saved paths write.
-        encoder.clear_buffer(&self.buffers.counters, GpuCounters::FLOW, Some(8));
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-            label: Some("holovol trace"),
-            timestamp_writes: None,
-        });
-        let [x, y] = tile_size.map(|n| n.div_ceil(8));
-        if x > 0 && y > 0 {
-            pass.set_pipeline(&kernels.trace);
-            pass.set_bind_group(0, &bind_groups[0], &[]);
-            pass.dispatch_workgroups(x, y, views.len() as u32);
-            // Paths that outlived their budget; the last dispatch has none.
-            for (count, bind_group) in self.resume.pipelines.iter().zip([1, 0]) {
-                pass.set_pipeline(count);
-                pass.set_bind_group(0, &self.resume.bind_group, &[]);
-                pass.dispatch_workgroups(1, 1, 1);
-                pass.set_pipeline(&kernels.resume);
-                pass.set_bind_group(0, &bind_groups[bind_group], &[]);
-                pass.dispatch_workgroups_indirect(&self.resume.workgroups, 0);
+        let of_batch = |batch: [u32; 2]| {
+            let mut views = views.clone();
+            for view in &mut views {
+                let [start, end, ..] = view.samples;
+                let [first, last] = batch.map(|n| start.saturating_add(n).min(end));
+                view.samples = [first, last, 0, 0];
             }
-            work.dispatches = 5;
+            views
+        };
+        let batches: Vec<_> = split.batches().map(of_batch).collect();
+        let queue = &self.gpu.queue;
+        if let ([tile], [views]) = (&tiles[..], &batches[..]) {
+            queue.write_buffer(&self.buffers.dispatch, 0, bytemuck::bytes_of(tile));
+            queue.write_buffer(&self.buffers.views, 0, bytemuck::cast_slice(views));
+            self.record_tile(encoder, kernels, &bind_groups, tile);
+            work.dispatches += 5;
+        } else if !tiles.is_empty() {
+            // The device takes them from here as their turn comes.
+            let mut contents: Vec<u8> = bytemuck::cast_slice(&tiles).to_vec();
+            let views_from = contents.len() as u64;
+            for views in &batches {
+                contents.extend_from_slice(bytemuck::cast_slice(views));
+            }
+            let parts = self.parts(&contents)?;
+            let tile_bytes = size_of::<DispatchUniform>() as u64;
+            let view_bytes = size_of_val(&views[..]) as u64;
+            for batch in 0..batches.len() as u64 {
+                let from = views_from + batch * view_bytes;
+                encoder.copy_buffer_to_buffer(&parts, from, &self.buffers.views, 0, view_bytes);
+                for (index, tile) in (0..).zip(&tiles) {
+                    let from = index * tile_bytes;
+                    let to = &self.buffers.dispatch;
+                    encoder.copy_buffer_to_buffer(&parts, from, to, 0, tile_bytes);
+                    self.record_tile(encoder, kernels, &bind_groups, tile);
+                    work.dispatches += 5;
+                }
+            }
         }
-        drop(pass);
         for (slot, view) in views.iter().enumerate() {
             let samples = view.samples[1] - view.samples[0];
             let pixels = u64::from(view.image[0]) * u64::from(view.image[1]);
@@ -471,7 +523,53 @@ impl FrameTracer {
             };
         }
         self.readback.record(encoder, &self.buffers.counters);
-        work
+        Ok(work)
+    }
+
+    /// A buffer that holds this when the frame is submitted.
+    fn parts(&mut self, contents: &[u8]) -> Result<wgpu::Buffer, RenderError> {
+        let bytes = contents.len() as u64;
+        let parts = match &self.parts {
+            Some(parts) if parts.size() >= bytes => parts.clone(),
+            _ => {
+                let usage = wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST;
+                let size = bytes.next_power_of_two();
+                let make = || self.gpu.empty("holovol parts of a frame", size, usage);
+                let made = self.gpu.scoped("parts of a frame", size, make)?;
+                self.parts.insert(made).clone()
+            }
+        };
+        self.gpu.queue.write_buffer(&parts, 0, contents);
+        Ok(parts)
+    }
+
+    /// The paths of one tile, to their end.
+    fn record_tile(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        kernels: &FrameKernels,
+        bind_groups: &[wgpu::BindGroup; 2],
+        tile: &DispatchUniform,
+    ) {
+        // The words that the kernels which count saved paths write.
+        encoder.clear_buffer(&self.buffers.counters, GpuCounters::FLOW, Some(8));
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some("holovol trace"),
+            timestamp_writes: None,
+        });
+        let [x, y] = tile.tile_size.map(|n| n.div_ceil(8));
+        pass.set_pipeline(&kernels.trace);
+        pass.set_bind_group(0, &bind_groups[0], &[]);
+        pass.dispatch_workgroups(x, y, self.slots.len() as u32);
+        // Paths that outlived their budget; the last dispatch has none.
+        for (count, bind_group) in self.resume.pipelines.iter().zip([1, 0]) {
+            pass.set_pipeline(count);
+            pass.set_bind_group(0, &self.resume.bind_group, &[]);
+            pass.dispatch_workgroups(1, 1, 1);
+            pass.set_pipeline(&kernels.resume);
+            pass.set_bind_group(0, &bind_groups[bind_group], &[]);
+            pass.dispatch_workgroups_indirect(&self.resume.workgroups, 0);
+        }
     }
 
     /// Takes in what the device has counted.
@@ -500,7 +598,8 @@ impl FrameTracer {
         &self.medium
     }
 
-    /// A view's image; `None` until it has samples.
+    /// A view's image; `None` until it has samples. What was traced last stays until the next image
+    /// begins.
     pub fn image(&self, slot: usize) -> Option<FrameImage> {
         let slot = self.slots.get(slot)?;
         let view = slot.view?;
@@ -509,6 +608,20 @@ impl FrameTracer {
             size: view.size,
             samples: slot.samples,
             view,
+        })
+    }
+
+    /// Whether a view's image is of the present medium and light; while kernels are compiled it may
+    /// be of the former.
+    pub fn is_current(&self, slot: usize) -> bool {
+        self.slots.get(slot).is_some_and(|slot| !slot.is_stale)
+    }
+
+    /// Where the volume was when a view's image began: metres from unit-cube coordinates.
+    pub fn image_placement(&self, slot: usize) -> DMat4 {
+        let slot = self.slots.get(slot);
+        slot.map_or(self.medium.world_from_unit_cube, |slot| {
+            slot.world_from_unit_cube
         })
     }
 
@@ -550,6 +663,13 @@ impl FrameTracer {
     #[doc(hidden)]
     pub fn use_general_kernels(&mut self, only: bool) {
         self.general_only = only;
+    }
+
+    /// Splits frames into dispatches of about so many samples.
+    #[cfg(any(test, feature = "testing"))]
+    #[doc(hidden)]
+    pub fn split_at(&mut self, samples: u64) {
+        self.samples_per_dispatch = samples;
     }
 
     /// Reads a view's image back and waits for it: for tests and servers.
