@@ -36,8 +36,8 @@ pub use view::{FrameImage, FrameWork, ViewFrame};
 
 use crate::depth::MeshDepth;
 use crate::trace::{
-    Buffers, DispatchUniform, GpuCounters, PIXEL_BYTES, QUEUE_CAPACITY, Surroundings, ViewUniform,
-    check_medium, check_options, kernel_seed, layout, shader_defs,
+    Buffers, GpuCounters, PIXEL_BYTES, Surroundings, check_medium, check_options, layout,
+    shader_defs,
 };
 use crate::{
     Counters, Gpu, GpuEnvironment, GpuVolume, MAX_VIEWS, MajorantGrid, Medium, RenderError,
