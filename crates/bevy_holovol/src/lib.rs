@@ -33,7 +33,10 @@
 //! ([`RightEyeOf`]) together. In each view's `Core3d` the images are laid over the
 //! opaque pass, before transparent meshes: scene-referred radiance times the camera's exposure, so
 //! that Bevy tone-maps everything once. A resting view gathers samples until it has
-//! [`max_samples`](VolumeRenderSettings::max_samples); from then on a frame costs no tracing.
+//! [`max_samples`](VolumeRenderSettings::max_samples); from then on a frame costs no tracing. What is
+//! shown stays until what takes its place is loaded, uploaded and compiled.
+//!
+//! [`VolumeStatistics`] tells what was done and what is waited for, also why a volume isn't there.
 //!
 //! # Limits
 //!
@@ -44,6 +47,8 @@
 //! - Meshes of a deferred prepass, and those that a camera with
 //!   [`OcclusionCulling`](bevy::render::occlusion_culling::OcclusionCulling) has just found, end no
 //!   paths inside a volume.
+//! - A mask of a mesh's material that changes, though the mesh doesn't, begins no image anew:
+//!   [`VolumeRenderSettings::reset`] does.
 //! - At most [`MAX_VIEWS`] cameras see one volume.
 
 pub mod clip_plane;
@@ -101,7 +106,8 @@ pub mod prelude {
 /// | [`VolumeEnvironmentPlugin`] | [`VolumeEnvironment`], its light and sky for meshes |
 /// | [`VolumeRenderPlugin`] | [`VolumeRenderSettings`]: the path tracer in Bevy's frame |
 ///
-/// [`LiveLightPlugin`], which follows a 360° camera, is added apart.
+/// Added apart: [`LiveLightPlugin`], which follows a 360° camera, and [`InteractionPlugin`], for
+/// volumes that are taken in hand.
 pub struct HolovolPlugins;
 
 impl PluginGroup for HolovolPlugins {

@@ -34,7 +34,7 @@ mod variants;
 mod view_depth;
 mod volume;
 
-pub use composite::{CompositePlace, CompositeTarget, Compositor};
+pub use composite::{CompositeBinding, CompositePlace, CompositeTarget, Compositor};
 pub use denoise::{
     DenoiseFrame, DenoiseKernels, DenoiseMode, DenoiseSettings, Denoiser, LightChange,
     PaperSettings, environment_change,

@@ -47,11 +47,23 @@ struct Filtered {
     sky: Image,
 }
 
-/// Ours, so that a camera's own light and sky stay.
+/// What we gave a camera. Light that differs, or is gone, is the user's doing and stays so.
 #[derive(Component)]
-pub(super) struct LitByEnvironment;
+pub(super) struct LitByEnvironment(EnvironmentMapLight);
 #[derive(Component)]
-pub(super) struct SkyOfEnvironment;
+pub(super) struct SkyOfEnvironment(Skybox);
+
+fn is_same_light(a: &EnvironmentMapLight, b: &EnvironmentMapLight) -> bool {
+    a.diffuse_map == b.diffuse_map
+        && a.specular_map == b.specular_map
+        && a.intensity == b.intensity
+        && a.rotation == b.rotation
+        && a.affects_lightmapped_mesh_diffuse == b.affects_lightmapped_mesh_diffuse
+}
+
+fn is_same_sky(a: &Skybox, b: &Skybox) -> bool {
+    a.image == b.image && a.brightness == b.brightness && a.rotation == b.rotation
+}
 
 /// The map that lights everything now; `None` while it is loading.
 #[derive(Resource, Default)]
@@ -127,8 +139,8 @@ type Camera<'a> = (
     Entity,
     Option<&'a EnvironmentMapLight>,
     Option<&'a Skybox>,
-    Has<LitByEnvironment>,
-    Has<SkyOfEnvironment>,
+    Option<&'a LitByEnvironment>,
+    Option<&'a SkyOfEnvironment>,
     Has<WithoutSky>,
 );
 
@@ -143,44 +155,46 @@ pub(super) fn apply(
         return;
     };
     let rotation = Quat::from_rotation_y(environment.rotation_y);
-    for (entity, light, sky, light_is_ours, sky_is_ours, is_without) in &cameras {
+    for (entity, light, sky, our_light, our_sky, is_without) in &cameras {
         let mut camera = commands.entity(entity);
-        if environment.lights_meshes && (light.is_none() || light_is_ours) {
-            let is_current = light.is_some_and(|light| {
-                light.diffuse_map == images.diffuse
-                    && light.intensity == environment.intensity
-                    && light.rotation == rotation
-            });
-            if !is_current {
-                let light = EnvironmentMapLight {
-                    diffuse_map: images.diffuse.clone(),
-                    specular_map: images.specular.clone(),
-                    intensity: environment.intensity,
-                    rotation,
-                    ..default()
-                };
-                camera.try_insert((light, LitByEnvironment));
+        let is_ours = match (light, our_light) {
+            (Some(light), Some(ours)) => is_same_light(light, &ours.0),
+            (light, ours) => light.is_none() && ours.is_none(),
+        };
+        if is_ours && environment.lights_meshes {
+            let wanted = EnvironmentMapLight {
+                diffuse_map: images.diffuse.clone(),
+                specular_map: images.specular.clone(),
+                intensity: environment.intensity,
+                rotation,
+                ..default()
+            };
+            if light.is_none_or(|light| !is_same_light(light, &wanted)) {
+                camera.try_insert((wanted.clone(), LitByEnvironment(wanted)));
             }
-        } else if light_is_ours && !environment.lights_meshes {
+        } else if is_ours && our_light.is_some() {
             camera.try_remove::<(EnvironmentMapLight, LitByEnvironment)>();
+        } else if !environment.lights_meshes && our_light.is_some() {
+            camera.try_remove::<LitByEnvironment>();
         }
+        let is_ours = match (sky, our_sky) {
+            (Some(sky), Some(ours)) => is_same_sky(sky, &ours.0),
+            (sky, ours) => sky.is_none() && ours.is_none(),
+        };
         let has_sky = environment.is_sky && !is_without;
-        if has_sky && (sky.is_none() || sky_is_ours) {
-            let is_current = sky.is_some_and(|sky| {
-                sky.image.as_ref() == Some(&images.sky)
-                    && sky.brightness == environment.intensity
-                    && sky.rotation == rotation
-            });
-            if !is_current {
-                let sky = Skybox {
-                    image: Some(images.sky.clone()),
-                    brightness: environment.intensity,
-                    rotation,
-                };
-                camera.try_insert((sky, SkyOfEnvironment));
+        if is_ours && has_sky {
+            let wanted = Skybox {
+                image: Some(images.sky.clone()),
+                brightness: environment.intensity,
+                rotation,
+            };
+            if sky.is_none_or(|sky| !is_same_sky(sky, &wanted)) {
+                camera.try_insert((wanted.clone(), SkyOfEnvironment(wanted)));
             }
-        } else if sky_is_ours && !has_sky {
+        } else if is_ours && our_sky.is_some() {
             camera.try_remove::<(Skybox, SkyOfEnvironment)>();
+        } else if !has_sky && our_sky.is_some() {
+            camera.try_remove::<SkyOfEnvironment>();
         }
     }
 }

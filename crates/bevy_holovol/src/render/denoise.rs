@@ -66,6 +66,11 @@ impl Denoising {
         }
     }
 
+    /// The volume is another one.
+    pub(super) fn forget(&mut self) {
+        self.changes.reset = true;
+    }
+
     fn eye(&self, camera: MainEntity) -> Option<usize> {
         self.cameras.iter().position(|&other| other == camera)
     }
@@ -176,9 +181,10 @@ pub(super) fn plan(inner: &mut Inner, views: &[ExtractedVolumeView], statistics:
             denoising.slots.clear();
             denoising.changes.light = (denoising.changes.light + light_change).min(1.0);
         }
-        let Some(tracer) = tracing.made.ready() else {
+        let Some((tracer, denoisings)) = tracing.tracer_mut() else {
             continue;
         };
+        let tracer = &*tracer;
         for eyes in groups(&inner.plan, *key) {
             let cameras: Vec<_> = eyes.iter().map(|&eye| inner.plan[eye].camera).collect();
             let Some(wanted) = inner.plan[eyes[0]].denoising else {

@@ -11,13 +11,13 @@ use holovol_light::EnvironmentMap;
 use holovol_render::Medium;
 use holovol_volume::{TransferFunction, TransferPoint, Volume};
 
-use super::mesh_overlap::MeshOverlaps;
+use super::mesh_overlap::{MeshOverlaps, MeshesInside};
+use super::shown::ShownAssets;
 use super::{RightEyeOf, VolumeRenderMode, VolumeRenderSettings};
 use crate::clip_plane::{ClipPlaneData, planes_of};
 use crate::environment::CurrentMap;
 use crate::{
-    TransferFunctionAsset, Volume3d, VolumeAsset, VolumeClipPlane, VolumeEnvironment,
-    VolumeMaterial3d, VolumeMedium,
+    TransferFunctionAsset, Volume3d, VolumeAsset, VolumeClipPlane, VolumeEnvironment, VolumeMedium,
 };
 
 /// What the render world knows of volumes; made anew in every frame, of shared data.
@@ -41,16 +41,10 @@ pub(super) struct ExtractedVolumeView {
     /// The left eye to this one, if both are denoised.
     pub(super) left_eye: Option<MainEntity>,
     /// What it sees, and what meshes are inside.
-    pub(super) volumes: Vec<(MainEntity, Option<u64>)>,
+    pub(super) volumes: Vec<(MainEntity, Option<MeshesInside>)>,
 }
 
-type VolumeData<'a> = (
-    Entity,
-    &'a GlobalTransform,
-    &'a Volume3d,
-    &'a VolumeMaterial3d,
-    &'a VolumeMedium,
-);
+type VolumeData<'a> = (Entity, &'a GlobalTransform, &'a VolumeMedium);
 
 type ViewData<'a> = (
     Entity,
@@ -66,13 +60,12 @@ pub(super) fn extract_volumes(
     mut edges: Local<HashMap<Entity, f64>>,
     environment: Extract<Option<Res<VolumeEnvironment>>>,
     map: Extract<Option<Res<CurrentMap>>>,
-    volumes: Extract<Query<VolumeData>>,
+    volumes: Extract<Query<VolumeData, With<Volume3d>>>,
     is_volume: Extract<Query<(), With<Volume3d>>>,
     planes: Extract<Query<ClipPlaneData, With<VolumeClipPlane>>>,
     parents: Extract<Query<&ChildOf>>,
     views: Extract<Query<ViewData>>,
-    assets: Extract<Option<Res<Assets<VolumeAsset>>>>,
-    transfer_functions: Extract<Option<Res<Assets<TransferFunctionAsset>>>>,
+    assets: Extract<Res<ShownAssets>>,
     overlaps: Extract<Res<MeshOverlaps>>,
 ) {
     // Without the plugin of the environment all is lit by uniform white light.
@@ -85,10 +78,8 @@ pub(super) fn extract_volumes(
         None => {}
     }
     scene.volumes.clear();
-    for (entity, transform, volume, material, medium) in &volumes {
-        let asset = assets.as_ref().and_then(|assets| assets.get(&volume.0));
-        let functions = transfer_functions.as_ref();
-        let function = functions.and_then(|functions| functions.get(&material.0));
+    for (entity, transform, medium) in &volumes {
+        let (asset, function) = (assets.volume(entity), assets.function(entity));
         let (Some(asset), Some(transfer_function)) = (asset, function) else {
             continue;
         };

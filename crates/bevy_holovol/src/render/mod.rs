@@ -8,10 +8,11 @@ mod plan;
 mod prepare;
 mod sampling;
 mod settings;
+mod shown;
+mod tracing;
 #[cfg(feature = "xr")]
 pub(crate) mod view_depth;
 
-use bevy::camera::visibility::VisibilitySystems;
 use bevy::core_pipeline::core_3d::{main_opaque_pass_3d, main_transparent_pass_3d};
 use bevy::core_pipeline::schedule::{Core3d, Core3dSystems, camera_driver};
 use bevy::pbr::{
@@ -53,19 +54,14 @@ impl Plugin for VolumeRenderPlugin {
             .register_type::<RightEyeOf>()
             .insert_resource(statistics.clone())
             .add_plugins(ExtractComponentPlugin::<VolumeSampling>::default())
-            .init_resource::<mesh_overlap::MeshOverlaps>()
             .init_resource::<settings::PendingResets>()
             .add_systems(First, settings::clear_resets)
             .add_systems(Last, settings::note_resets);
         if app.get_sub_app(RenderApp).is_none() {
             return;
         }
-        app.add_systems(
-            PostUpdate,
-            mesh_overlap::find
-                .after(VisibilitySystems::CheckVisibility)
-                .run_if(resource_exists::<Assets<crate::VolumeAsset>>),
-        );
+        shown::build(app);
+        mesh_overlap::build(app);
         app.sub_app_mut(RenderApp)
             .insert_resource(statistics)
             .init_resource::<extract::ExtractedScene>()

@@ -16,7 +16,6 @@ use bevy::render::render_resource::{
 use bevy::render::renderer::{CurrentView, RenderContext, ViewQuery};
 use bevy::render::sync_world::MainEntity;
 use bevy::render::view::{ExtractedView, ViewDepthTexture, ViewTarget};
-use glam::DVec3;
 use holovol_render::{CompositePlace, DepthSource, Gpu, RenderError, wgpu};
 
 use super::VolumeStatistics;
@@ -232,6 +231,8 @@ pub(super) fn trace_volumes(
                 Err(error) => errors.push(error.to_string()),
             }
             span.end(encoder);
+        } else {
+            tracer.pass_over(&frames);
         }
         // While the tracer's kernels are compiled there is nothing to denoise.
         let is_planned = |d: &&mut Denoising| d.is_planned() && is_traced;
@@ -284,11 +285,11 @@ pub(super) fn composite_volumes(
         &Msaa,
         &MainEntity,
     )>,
-    gpu: Res<VolumeGpu>,
+    mut gpu: ResMut<VolumeGpu>,
     mut ctx: RenderContext,
 ) {
     let (camera, extracted, target, depth, msaa, entity) = view.into_inner();
-    let Some(inner) = &gpu.0 else {
+    let Some(inner) = &mut gpu.0 else {
         return;
     };
     let viewport = extracted.viewport.to_array();
@@ -310,24 +311,20 @@ pub(super) fn composite_volumes(
         let Some(tracer) = tracing.tracer() else {
             continue;
         };
-        let corners = tracer.medium().corners();
-        let seen = planned
-            .frame
-            .view
-            .resized(viewport_size(extracted))
-            .bounds(&corners);
+        let name = (*entity, planned.key);
+        let former = inner.bindings.remove(&name);
+        let compositor = &inner.compositor;
         let denoised = tracing.denoisings.iter().find_map(|d| d.image(*entity));
         let bound = match denoised {
-            Some((denoiser, eye)) => {
-                let compositor = &inner.compositor;
-                compositor.bind_denoised(tracer, denoiser, eye, &place)
-            }
-            None => inner.compositor.bind(tracer, planned.frame.slot, &place),
+            Some((denoiser, eye)) => compositor.bind_denoised(denoiser, eye, &place, former),
+            None => compositor.bind(tracer, planned.frame.slot, &place, former),
         };
         match bound {
-            Ok(Some(bind_group)) => {
-                let centre = corners.iter().sum::<DVec3>() / 8.0;
-                images.extend(seen.map(|seen| (centre.distance(eye), seen, bind_group)));
+            Ok(Some(binding)) => {
+                let seen = binding.bounds(viewport_size(extracted));
+                let distance = binding.centre().distance(eye);
+                images.extend(seen.map(|seen| (distance, seen, name)));
+                inner.bindings.insert(name, binding);
             }
             Ok(None) => {}
             Err(error) => error_once!("{error}"),
@@ -351,11 +348,13 @@ pub(super) fn composite_volumes(
     let [x, y, width, height] = viewport;
     pass.set_viewport(x as f32, y as f32, width as f32, height as f32, 0.0, 1.0);
     let composite_target = composite_target(extracted, msaa);
-    for (_, [left, top, right, bottom], bind_group) in &images {
+    for (_, [left, top, right, bottom], name) in &images {
+        let Some(binding) = inner.bindings.get(name) else {
+            continue;
+        };
         pass.set_scissor_rect(x + left, y + top, right - left, bottom - top);
-        inner
-            .compositor
-            .draw(pass.wgpu_pass(), composite_target, bind_group);
+        let compositor = &inner.compositor;
+        compositor.draw(pass.wgpu_pass(), composite_target, binding);
     }
     span.end(&mut pass);
 }

@@ -10,6 +10,7 @@ use holovol_render::{DepthLayers, View, ViewFrame};
 
 use super::denoise::{self, WantedDenoising};
 use super::extract::ExtractedScene;
+use super::mesh_overlap::DrawableMeshes;
 use super::node::{DepthTarget, DepthTargetShape};
 use super::prepare::{TracerKey, VolumeGpu, viewport_size};
 use super::sampling::SamplingMaps;
@@ -53,6 +54,7 @@ pub(super) fn plan_frame(
     mut gpu: ResMut<VolumeGpu>,
     scene: Res<ExtractedScene>,
     cameras: Query<PlannedCamera>,
+    drawable: DrawableMeshes,
     mut sampling_maps: ResMut<SamplingMaps>,
     statistics: Res<VolumeStatistics>,
 ) {
@@ -78,8 +80,15 @@ pub(super) fn plan_frame(
         let clip_from_view = view.clip_from_view.as_dmat4();
         let pose = View::from_projection(world_from_view, clip_from_view, size);
         let has_depth = prepass.is_some_and(|p| p.depth.is_some() && p.deferred.is_none());
-        let overlaps = wanted.volumes.iter().any(|(_, overlap)| overlap.is_some());
-        let layers = (has_depth && overlaps).then(|| {
+        let overlaps: Vec<_> = wanted
+            .volumes
+            .iter()
+            .map(|(_, meshes)| {
+                let meshes = meshes.as_ref().filter(|_| has_depth)?;
+                drawable.depth_of(&view.retained_view_entity, meshes)
+            })
+            .collect();
+        let layers = overlaps.iter().any(Option::is_some).then(|| {
             let first = layers_used;
             layers_used += msaa.samples();
             DepthLayers {
@@ -102,8 +111,8 @@ pub(super) fn plan_frame(
             });
         }
         let shares = sampling_maps.get(*camera, sampling, size);
-        for &(volume, overlap) in &wanted.volumes {
-            let key = (volume, settings.max_scatters);
+        for ((volume, _), overlap) in wanted.volumes.iter().zip(overlaps) {
+            let key = (*volume, settings.max_scatters);
             let Some(tracing) = inner.tracings.get_mut(&key) else {
                 continue;
             };
@@ -139,6 +148,12 @@ pub(super) fn plan_frame(
             });
         }
     }
+    let plan = &inner.plan;
+    let is_planned = |name: &(MainEntity, TracerKey)| {
+        plan.iter()
+            .any(|planned| (planned.camera, planned.key) == *name)
+    };
+    inner.bindings.retain(|name, _| is_planned(name));
     statistics.update(|statistics| denoise::plan(inner, &scene.views, statistics));
     for mesh_view in mesh_views {
         let wants_depth = inner.plan.iter().any(|planned| {

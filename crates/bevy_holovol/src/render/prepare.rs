@@ -1,6 +1,7 @@
 //! What the device holds of volumes, and what a frame wants of it.
 
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::sync::Arc;
 
 use bevy::core_pipeline::core_3d::CORE_3D_DEPTH_FORMAT;
@@ -9,69 +10,19 @@ use bevy::render::camera::ExtractedCamera;
 use bevy::render::renderer::{RenderAdapterInfo, RenderDevice, RenderQueue};
 use bevy::render::sync_world::MainEntity;
 use bevy::render::view::ExtractedView;
-use bevy::tasks::{AsyncComputeTaskPool, Task, futures::check_ready};
 use holovol_light::EnvironmentMap;
 use holovol_render::{
-    CompositeTarget, Compositor, DenoiseKernels, FrameTracer, Gpu, GpuEnvironment, GpuVolume,
-    Interpolation, Kernels, LightChange, MAX_VIEWS, Medium, MeshDepth, RenderError, TraceOptions,
+    CompositeBinding, CompositeTarget, Compositor, DenoiseKernels, Gpu, GpuEnvironment, GpuVolume,
+    Interpolation, Kernels, LightChange, MAX_VIEWS, Medium, MeshDepth, RenderError,
     environment_change, wgpu,
 };
 use holovol_volume::Volume;
 
-use super::denoise::Denoising;
 use super::extract::{ExtractedScene, ExtractedVolume, ExtractedVolumeView};
 use super::node::{DepthTarget, DepthTargetShape};
 use super::plan::{PlannedDepth, PlannedView};
+use super::tracing::{Made, State, Tracing, Wanted};
 use super::{Statistics, VolumeRenderMode, VolumeStatistics};
-
-/// Something that a worker makes of something else.
-pub(super) struct Made<K, T> {
-    of: Arc<K>,
-    state: State<T>,
-}
-
-enum State<T> {
-    Pending(Task<Result<T, RenderError>>),
-    Ready(T),
-    Failed(String),
-}
-
-impl<K, T: Send + 'static> Made<K, T> {
-    fn begin(of: &Arc<K>, make: impl FnOnce() -> Result<T, RenderError> + Send + 'static) -> Self {
-        let task = AsyncComputeTaskPool::get().spawn(async move { make() });
-        Self {
-            of: Arc::clone(of),
-            state: State::Pending(task),
-        }
-    }
-
-    fn is_of(&self, other: &Arc<K>) -> bool {
-        Arc::ptr_eq(&self.of, other)
-    }
-
-    pub(super) fn ready(&self) -> Option<&T> {
-        match &self.state {
-            State::Ready(made) => Some(made),
-            _ => None,
-        }
-    }
-
-    /// Takes in what the worker has made.
-    fn poll(&mut self) -> &mut State<T> {
-        if let State::Pending(task) = &mut self.state
-            && let Some(result) = check_ready(task)
-        {
-            self.state = match result {
-                Ok(made) => State::Ready(made),
-                Err(error) => {
-                    error!("{error}");
-                    State::Failed(error.to_string())
-                }
-            };
-        }
-        &mut self.state
-    }
-}
 
 /// Light on the device.
 struct UploadedLight {
@@ -84,76 +35,11 @@ struct UploadedLight {
 /// A volume, and the number of scatterings that its views want.
 pub(super) type TracerKey = (MainEntity, Option<u32>);
 
-/// One volume for the views that want as many scatterings.
-pub(super) struct Tracing {
-    pub(super) made: Made<Volume, FrameTracer>,
-    /// What it was begun with, to try again with another if that failed.
-    begun_with: Medium,
-    /// Cameras and the largest images that there is room for.
-    slots: Vec<(MainEntity, [u32; 2])>,
-    /// Per slot, what the meshes inside were like.
-    pub(super) overlaps: Vec<Option<u64>>,
-    pub(super) denoisings: Vec<Denoising>,
-}
-
-impl Tracing {
-    pub(super) fn tracer(&self) -> Option<&FrameTracer> {
-        self.made.ready()
-    }
-
-    pub(super) fn tracer_mut(&mut self) -> Option<(&mut FrameTracer, &mut Vec<Denoising>)> {
-        match &mut self.made.state {
-            State::Ready(tracer) => Some((tracer, &mut self.denoisings)),
-            _ => None,
-        }
-    }
-
-    /// The slot of a camera, if there is room for its image.
-    pub(super) fn slot_of(&self, camera: MainEntity, size: [u32; 2]) -> Option<usize> {
-        let fits = |&(other, room): &(MainEntity, [u32; 2])| {
-            other == camera && size[0] <= room[0] && size[1] <= room[1]
-        };
-        self.slots.iter().position(fits)
-    }
-
-    fn update(
-        &mut self,
-        medium: &Medium,
-        environment: Option<&Arc<GpuEnvironment>>,
-    ) -> Result<(), RenderError> {
-        let State::Ready(tracer) = &mut self.made.state else {
-            return Ok(());
-        };
-        if let Some(environment) = environment {
-            tracer.set_environment(environment)?;
-        }
-        tracer.set_medium(medium).map(|_| ())
-    }
-
-    /// Makes room for these views, unless there is.
-    fn make_room(
-        &mut self,
-        wanted: &[(MainEntity, [u32; 2])],
-        cameras: &[ExtractedVolumeView],
-    ) -> Result<(), RenderError> {
-        let fits = wanted.iter().all(|(camera, size)| {
-            self.slots
-                .iter()
-                .any(|(other, room)| other == camera && room[0] >= size[0] && room[1] >= size[1])
-        });
-        let is_left = |(camera, _): &(MainEntity, _)| cameras.iter().all(|c| c.entity != *camera);
-        if fits && !self.slots.iter().any(is_left) {
-            return Ok(());
-        }
-        let rooms: Vec<_> = wanted.iter().map(|&(_, size)| size).collect();
-        let State::Ready(tracer) = &mut self.made.state else {
-            return Ok(());
-        };
-        tracer.set_views(&rooms)?;
-        self.slots = wanted.to_vec();
-        self.overlaps = vec![None; wanted.len()];
-        Ok(())
-    }
+/// What a volume is being brought to. While voxels are on their way to the screen no others follow,
+/// so that those which change in every frame arrive as fast as they can be uploaded.
+struct Target {
+    volume: Arc<Volume>,
+    medium: Medium,
 }
 
 /// Everything of ours on the device; made anew when that is.
@@ -177,7 +63,10 @@ pub(crate) struct Inner {
     pub(super) light_change: f32,
     /// Once a view is denoised.
     pub(super) denoise_kernels: Option<Arc<DenoiseKernels>>,
+    targets: HashMap<MainEntity, Target>,
     pub(super) tracings: HashMap<TracerKey, Tracing>,
+    /// Kept from frame to frame: what images are laid over views with.
+    pub(super) bindings: HashMap<(MainEntity, TracerKey), CompositeBinding>,
     pub(super) plan: Vec<PlannedView>,
     pub(super) depth_plan: Vec<PlannedDepth>,
 }
@@ -223,7 +112,9 @@ impl Inner {
             light: LightChange::default(),
             light_change: 0.0,
             denoise_kernels: None,
+            targets: HashMap::new(),
             tracings: HashMap::new(),
+            bindings: HashMap::new(),
             plan: Vec::new(),
             depth_plan: Vec::new(),
         })
@@ -249,9 +140,92 @@ impl Inner {
                 statistics.is_waiting = true;
                 None
             }
-            State::Failed(reason) => {
-                statistics.errors.push(reason.clone());
+            State::Failed(failure) => {
+                statistics.errors.push(failure.reason.clone());
                 None
+            }
+        }
+    }
+
+    /// Follows the scene: which voxels and tracers there are to be.
+    fn retarget(&mut self, scene: &ExtractedScene) {
+        for tracing in self.tracings.values_mut() {
+            tracing.poll();
+        }
+        for volume in &mut self.volumes {
+            volume.poll();
+        }
+        let lives = |entity: &MainEntity| scene.volumes.iter().any(|v| v.entity == *entity);
+        self.targets.retain(|entity, _| lives(entity));
+        for extracted in &scene.volumes {
+            let target = self.targets.get(&extracted.entity);
+            let is_other = |target: &&Target| !Arc::ptr_eq(&target.volume, &extracted.volume);
+            if let Some(target) = target.filter(is_other) {
+                let uploads =
+                    |made: &Made<Volume, _>| made.is_of(&target.volume) && made.is_pending();
+                let mut tracings = self.tracings.iter();
+                let is_busy = tracings.any(|(key, t)| key.0 == extracted.entity && t.is_busy());
+                if is_busy || self.volumes.iter().any(uploads) {
+                    continue;
+                }
+            }
+            let target = Target {
+                volume: Arc::clone(&extracted.volume),
+                medium: extracted.medium.clone(),
+            };
+            self.targets.insert(extracted.entity, target);
+        }
+        self.make_room_for_targets();
+        self.rename_tracings(scene);
+        // What nobody uses any more goes first: it makes room.
+        let targets = &self.targets;
+        let is_used = |made: &Made<Volume, _>| targets.values().any(|t| made.is_of(&t.volume));
+        self.volumes.retain(is_used);
+        let wants = |key: &TracerKey| scene.views.iter().any(|v| v.settings.max_scatters == key.1);
+        self.tracings
+            .retain(|key, _| targets.contains_key(&key.0) && wants(key));
+    }
+
+    /// Where new voxels don't fit beside those that are shown, the latter go, and it is tried again.
+    fn make_room_for_targets(&mut self) {
+        for (entity, target) in &self.targets {
+            let failed = |made: &Made<Volume, _>| {
+                made.is_of(&target.volume) && made.failure().is_some_and(|f| f.is_memory)
+            };
+            let has_failed = self.volumes.iter().any(failed);
+            let before = self.tracings.len();
+            self.tracings.retain(|key, tracing| {
+                let gives_way = tracing.shows_other_than(&target.volume)
+                    && (has_failed || tracing.lacks_memory());
+                key.0 != *entity || !gives_way
+            });
+            if has_failed && self.tracings.len() < before {
+                self.volumes.retain(|made| !failed(made));
+            }
+        }
+    }
+
+    /// A tracer goes on for views that want another number of scatterings than before: its voxels
+    /// and majorants are the same.
+    fn rename_tracings(&mut self, scene: &ExtractedScene) {
+        for view in &scene.views {
+            for &(volume, _) in &view.volumes {
+                let key = (volume, view.settings.max_scatters);
+                if self.tracings.contains_key(&key) {
+                    continue;
+                }
+                let wants = |max_scatters| {
+                    let mut views = scene.views.iter();
+                    views.any(|view| view.settings.max_scatters == max_scatters)
+                };
+                let is_left = |(other, tracing): &(&TracerKey, &Tracing)| {
+                    let mut cameras = tracing.cameras();
+                    other.0 == volume && !wants(other.1) && cameras.any(|c| c == view.entity)
+                };
+                let former = self.tracings.iter().find(is_left).map(|(key, _)| *key);
+                if let Some(tracing) = former.and_then(|former| self.tracings.remove(&former)) {
+                    self.tracings.insert(key, tracing);
+                }
             }
         }
     }
@@ -297,7 +271,7 @@ impl Inner {
         }
         let is_free = match &self.coming {
             None => true,
-            Some(coming) => matches!(coming.state, State::Failed(_)) && !coming.is_of(map),
+            Some(coming) => coming.failure().is_some() && !coming.is_of(map),
         };
         if is_free {
             let (gpu, source) = (self.gpu.clone(), Arc::clone(map));
@@ -312,7 +286,7 @@ impl Inner {
             }));
         }
         match self.coming.as_ref().map(|coming| &coming.state) {
-            Some(State::Failed(reason)) => statistics.errors.push(reason.clone()),
+            Some(State::Failed(failure)) => statistics.errors.push(failure.reason.clone()),
             _ => statistics.is_waiting = true,
         }
     }
@@ -347,15 +321,7 @@ fn prepare(
     statistics: &mut Statistics,
 ) {
     inner.light_change = 0.0;
-    // What nobody uses any more goes first: it makes room.
-    let is_used = |made: &Made<Volume, _>| scene.volumes.iter().any(|v| made.is_of(&v.volume));
-    inner.volumes.retain(is_used);
-    let lives = |key: &TracerKey, tracing: &Tracing| {
-        let volume = scene.volumes.iter().find(|v| v.entity == key.0);
-        volume.is_some_and(|v| tracing.made.is_of(&v.volume))
-            && scene.views.iter().any(|v| v.settings.max_scatters == key.1)
-    };
-    inner.tracings.retain(|key, tracing| lives(key, tracing));
+    inner.retarget(scene);
     let Some(map) = &scene.environment else {
         statistics.is_waiting |= !scene.volumes.is_empty();
         return;
@@ -386,84 +352,61 @@ fn prepare(
         }
     }
     for extracted in &scene.volumes {
-        let Some(volume) = inner.volume(&extracted.volume, statistics) else {
+        let Some(Target { volume: of, medium }) = inner.targets.get(&extracted.entity) else {
             continue;
         };
-        let mut wanted: HashMap<Option<u32>, Vec<_>> = HashMap::new();
-        for view in &scene.views {
-            let sees = view
-                .volumes
-                .iter()
-                .any(|(volume, _)| *volume == extracted.entity);
-            if let (true, Some((extracted_view, _))) = (sees, views.get(&view.entity)) {
-                let viewport = viewport_size(extracted_view);
-                let size = view.settings.image_size(viewport);
-                let room = [0, 1].map(|i| size[i].max(viewport[i]));
-                let group = wanted.entry(view.settings.max_scatters).or_default();
-                if group.len() < MAX_VIEWS {
-                    group.push((view.entity, room));
-                } else {
-                    warn_once!("more than {MAX_VIEWS} cameras see a volume: the others don't");
-                }
-            }
-        }
-        for (max_scatters, wanted) in wanted {
+        let (of, medium) = (Arc::clone(of), medium.clone());
+        let volume = inner.volume(&of, statistics);
+        for (max_scatters, views) in views_of(extracted.entity, scene, &views) {
             let key = (extracted.entity, max_scatters);
-            let medium = Medium {
-                max_scatters,
-                ..extracted.medium.clone()
+            let wanted = Wanted {
+                of: &of,
+                volume: volume.clone(),
+                environment: environment.clone(),
+                medium: Medium {
+                    max_scatters,
+                    ..medium.clone()
+                },
+                views,
             };
-            let failed = |tracing: &Tracing| {
-                matches!(tracing.made.state, State::Failed(_)) && tracing.begun_with != medium
-            };
-            if inner.tracings.get(&key).is_none_or(failed) {
-                let Some(environment) = environment.clone() else {
-                    continue;
-                };
-                let tracing =
-                    Tracing::begin(inner, extracted, &volume, environment, medium.clone());
-                inner.tracings.insert(key, tracing);
-            }
-            let Some(tracing) = inner.tracings.get_mut(&key) else {
-                continue;
-            };
-            match tracing.made.poll() {
-                // What is wrong with one volume concerns no other.
-                State::Ready(_) => {
-                    let updated = tracing.update(&medium, environment.as_ref());
-                    let updated = updated.and(tracing.make_room(&wanted, &scene.views));
-                    if let Err(error) = updated {
-                        statistics.errors.push(error.to_string());
-                    }
+            let (gpu, kernels) = (&inner.gpu, &inner.kernels);
+            let tracing = match inner.tracings.entry(key) {
+                Entry::Occupied(tracing) => tracing.into_mut(),
+                Entry::Vacant(place) => {
+                    let Some(tracing) = Tracing::begin(gpu, kernels, &wanted) else {
+                        continue;
+                    };
+                    place.insert(tracing)
                 }
-                State::Pending(_) => statistics.is_waiting = true,
-                State::Failed(reason) => statistics.errors.push(reason.clone()),
-            }
+            };
+            // What is wrong with one volume concerns no other.
+            tracing.update(gpu, kernels, &wanted, &scene.views, statistics);
         }
     }
 }
 
-impl Tracing {
-    fn begin(
-        inner: &Inner,
-        extracted: &ExtractedVolume,
-        volume: &Arc<GpuVolume>,
-        environment: Arc<GpuEnvironment>,
-        medium: Medium,
-    ) -> Self {
-        let (gpu, kernels) = (inner.gpu.clone(), Arc::clone(&inner.kernels));
-        let volume = Arc::clone(volume);
-        Self {
-            begun_with: medium.clone(),
-            made: Made::begin(&extracted.volume, move || {
-                let options = TraceOptions::default();
-                FrameTracer::new(&gpu, kernels, volume, environment, medium, options)
-            }),
-            slots: Vec::new(),
-            overlaps: Vec::new(),
-            denoisings: Vec::new(),
+/// Cameras that see a volume with the sizes of their images, by the scatterings that they want.
+fn views_of(
+    volume: MainEntity,
+    scene: &ExtractedScene,
+    views: &HashMap<MainEntity, (&ExtractedView, &Msaa)>,
+) -> HashMap<Option<u32>, Vec<(MainEntity, [u32; 2])>> {
+    let mut wanted: HashMap<_, Vec<_>> = HashMap::new();
+    for view in &scene.views {
+        let sees = view.volumes.iter().any(|(other, _)| *other == volume);
+        if let (true, Some((extracted_view, _))) = (sees, views.get(&view.entity)) {
+            let viewport = viewport_size(extracted_view);
+            let size = view.settings.image_size(viewport);
+            let room = [0, 1].map(|i| size[i].max(viewport[i]));
+            let group = wanted.entry(view.settings.max_scatters).or_default();
+            if group.len() < MAX_VIEWS {
+                group.push((view.entity, room));
+            } else {
+                warn_once!("more than {MAX_VIEWS} cameras see a volume: the others don't");
+            }
         }
     }
+    wanted
 }
 
 pub(super) fn viewport_size(view: &ExtractedView) -> [u32; 2] {

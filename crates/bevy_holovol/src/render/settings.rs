@@ -17,17 +17,19 @@ pub struct VolumeRenderSettings {
     pub mode: VolumeRenderMode,
     /// How [`VolumeRenderMode::Denoised`] takes noise out; other modes don't use it.
     pub denoiser: VolumeDenoiser,
-    /// Samples per pixel and frame; 1 by default, 0 to stand still for a while. Twice as many halve the noise that is left to a
-    /// denoiser; 2 is what its settings were found with.
+    /// Samples per pixel and frame; 1 by default, 0 to stand still for a while: the last image stays,
+    /// also if the camera moves. Twice as many halve the variance that is left to a denoiser; 2 is
+    /// what its settings were found with.
     pub samples: u32,
     /// Samples per pixel at which a resting view is done and costs nothing more; 1024 by default.
     pub max_samples: u32,
-    /// Paths have at most this many scatterings; `None` is unlimited. 1 by default.
+    /// Paths have at most this many scatterings; `None` is unlimited. 1 by default. Views of a volume
+    /// that differ in it are traced apart.
     pub max_scatters: Option<u32>,
     /// Pixels of the traced image per pixel of the view along each axis, 0.05 to 2; 1 by default.
     pub resolution_scale: f32,
     /// Begins anew once and clears itself: for changes that can't be seen from outside, such as
-    /// meshes that a shader moves.
+    /// meshes that a shader moves, or masks otherwise than before.
     pub reset: bool,
 }
 
@@ -139,6 +141,9 @@ pub struct Statistics {
     pub depth_passes: u64,
     /// Volumes, transfer functions and environments uploaded since the start.
     pub uploads: u64,
+    /// Times since the start that other room was made for images, which begin anew by it: when
+    /// cameras come and go, or a view outgrows its room.
+    pub resizes: u64,
     /// Least samples per pixel among the images of the last frame.
     pub samples_per_pixel: u32,
     /// All images of the last frame have all their samples.

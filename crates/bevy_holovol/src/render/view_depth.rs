@@ -41,7 +41,8 @@ impl ViewDepths {
             let slot = planned.frame.slot;
             // Until the kernels are there, its rays are those of an earlier frame.
             let image = tracer.image(slot)?;
-            (image.view == planned.frame.view).then_some((tracer, slot))
+            let is_of_frame = image.view == planned.frame.view && tracer.is_current(slot);
+            is_of_frame.then_some((tracer, slot))
         });
         drawer.record(encoder, target, meshes, volumes)?;
         Ok(true)

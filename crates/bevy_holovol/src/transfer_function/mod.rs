@@ -28,7 +28,8 @@ impl Plugin for TransferFunctionPlugin {
 
 /// The transfer function of a [`Volume3d`](crate::Volume3d).
 ///
-/// Bevy's own materials are for meshes; this one says what a volume's values are made of.
+/// Bevy's own materials are for meshes; this one says what a volume's values are made of. While
+/// another handle's asset is being loaded the former is used. The default handle is a soft grey ramp.
 #[derive(Component, Reflect, Clone, Debug, Default, PartialEq, Eq, Deref, DerefMut)]
 #[reflect(Component, Default, Clone, Debug, PartialEq)]
 pub struct VolumeMaterial3d(pub Handle<TransferFunctionAsset>);

@@ -42,6 +42,9 @@ impl Plugin for VolumePlugin {
 /// It has the size that its file says, in metres, centred on the entity: the patient's left to +x,
 /// superior to +y, anterior to +z. The entity's transform comes on top.
 ///
+/// With another handle, or once its asset is replaced, the former voxels are shown until the new ones
+/// are on the device; nothing with the default handle, or an asset that was removed.
+///
 /// Not to be confused with Bevy's `audio::Volume`, which is loudness, nor with `FogVolume`, which
 /// is drawn by ray marching.
 #[derive(Component, Reflect, Clone, Debug, Default, PartialEq, Eq, Deref, DerefMut)]

@@ -33,6 +33,11 @@ pub fn app_with<M>(plugins: impl Plugins<M>) -> App {
 
 /// The same with assets from elsewhere.
 pub fn app_on<M>(files: AssetPlugin, plugins: impl Plugins<M>) -> App {
+    app_that(true, files, plugins)
+}
+
+/// The same; Bevy's own pipelines may be compiled beside the frames, as in apps.
+pub fn app_that<M>(waits_for_pipelines: bool, files: AssetPlugin, plugins: impl Plugins<M>) -> App {
     let mut app = App::new();
     app.add_plugins((DefaultPlugins
         .set(files)
@@ -42,7 +47,7 @@ pub fn app_on<M>(files: AssetPlugin, plugins: impl Plugins<M>) -> App {
             ..default()
         })
         .set(RenderPlugin {
-            synchronous_pipeline_compilation: true,
+            synchronous_pipeline_compilation: waits_for_pipelines,
             ..default()
         })
         .disable::<LogPlugin>()
@@ -182,6 +187,7 @@ pub fn read(app: &mut App, target: &Handle<Image>) -> Picture {
     for _ in 0..3 {
         app.update();
     }
+    let size = size_of_target(app, target);
     let found = Arc::new(Mutex::new(None));
     let result = Arc::clone(&found);
     let reader = app
@@ -195,29 +201,54 @@ pub fn read(app: &mut App, target: &Handle<Image>) -> Picture {
         app.update();
         if let Some(bytes) = found.lock().expect("no panic").take() {
             app.world_mut().despawn(reader);
-            let size = app
-                .world()
-                .resource::<Assets<Image>>()
-                .get(target)
-                .expect("a target")
-                .size();
-            let row = bytes.len() / size.y as usize;
-            let pixels = (0..size.y as usize).flat_map(|y| {
-                let row = &bytes[y * row..][..16 * size.x as usize];
-                row.chunks(16).map(|pixel| {
-                    std::array::from_fn(|c| {
-                        let four = [0, 1, 2, 3].map(|i| pixel[4 * c + i]);
-                        f32::from_le_bytes(four)
-                    })
-                })
-            });
-            return Picture {
-                width: size.x as usize,
-                pixels: pixels.collect(),
-            };
+            return Picture::new(&bytes, size);
         }
     }
     panic!("nothing was read back");
+}
+
+fn size_of_target(app: &App, target: &Handle<Image>) -> UVec2 {
+    let images = app.world().resource::<Assets<Image>>();
+    images.get(target).expect("a target").size()
+}
+
+/// Brightness in the middle of a target, frame by frame from now on.
+pub struct Watch(Arc<Mutex<Vec<f32>>>);
+
+impl Watch {
+    pub fn begin(app: &mut App, target: &Handle<Image>) -> Self {
+        let size = size_of_target(app, target);
+        let seen = Arc::new(Mutex::new(Vec::new()));
+        let all = Arc::clone(&seen);
+        app.world_mut()
+            .spawn(Readback::texture(target.clone()))
+            .observe(move |event: On<ReadbackComplete>| {
+                let picture = Picture::new(&event.data, size);
+                let [x, y] = [size.x as usize / 2, size.y as usize / 2];
+                let middle = picture.mean([x - 2, y - 2, x + 2, y + 2]).x;
+                all.lock().expect("no panic").push(middle);
+            });
+        // What is on its way is of frames before.
+        for _ in 0..3 {
+            app.update();
+        }
+        seen.lock().expect("no panic").clear();
+        Self(seen)
+    }
+
+    /// Fails if there was a brighter frame than this since the last look.
+    #[track_caller]
+    pub fn assert_at_most(&self, what: &str, most: f32) {
+        let seen = std::mem::take(&mut *self.0.lock().expect("no panic"));
+        assert!(!seen.is_empty(), "{what}: no frame was seen");
+        let brightest = seen.iter().copied().fold(0.0, f32::max);
+        let frames = seen.iter().filter(|value| **value > most).count();
+        assert!(
+            brightest <= most,
+            "{what}: {brightest} in {frames} of {} frames",
+            seen.len()
+        );
+    }
 }
 
 pub struct Picture {
@@ -226,6 +257,23 @@ pub struct Picture {
 }
 
 impl Picture {
+    fn new(bytes: &[u8], size: UVec2) -> Self {
+        let row = bytes.len() / size.y as usize;
+        let pixels = (0..size.y as usize).flat_map(|y| {
+            let row = &bytes[y * row..][..16 * size.x as usize];
+            row.chunks(16).map(|pixel| {
+                std::array::from_fn(|c| {
+                    let four = [0, 1, 2, 3].map(|i| pixel[4 * c + i]);
+                    f32::from_le_bytes(four)
+                })
+            })
+        });
+        Self {
+            width: size.x as usize,
+            pixels: pixels.collect(),
+        }
+    }
+
     /// Mean over [left, right) × [top, bottom).
     pub fn mean(&self, [left, top, right, bottom]: [usize; 4]) -> Vec4 {
         let mut sum = glam::DVec4::ZERO;

@@ -4,6 +4,7 @@ use std::f32::consts::PI;
 
 use bevy::camera::Exposure;
 use bevy::core_pipeline::tonemapping::Tonemapping;
+use bevy::light::{EnvironmentMapLight, Skybox};
 use bevy::prelude::*;
 use bevy_holovol::prelude::*;
 use holovol_light::EnvironmentMap;
@@ -20,6 +21,10 @@ pub const TESTS: &[crate::Test] = &[
         radiance_meets_the_cameras_exposure,
     ),
     ("sky_is_the_environment", sky_is_the_environment),
+    (
+        "a_cameras_own_light_and_sky_stay",
+        a_cameras_own_light_and_sky_stay,
+    ),
     (
         "diffuse_mesh_has_the_analytic_irradiance",
         diffuse_mesh_has_the_analytic_irradiance,
@@ -130,6 +135,73 @@ fn sky_is_the_environment() {
             assert_near(&format!("sky to {direction}"), found, expected, 0.02);
         }
     }
+}
+
+/// Also if it is given them after ours, or if ours are changed or taken away.
+fn a_cameras_own_light_and_sky_stay() {
+    let mut app = app();
+    app.insert_resource(VolumeEnvironment {
+        intensity: unit_intensity(),
+        ..default()
+    });
+    let target = target(&mut app, 8, 8);
+    let camera = spawn_camera(&mut app, &target, 2.0, settings(1));
+    wait_for_sky(&mut app, camera);
+    let ours = app
+        .world()
+        .get::<EnvironmentMapLight>(camera)
+        .expect("our light")
+        .clone();
+    let mut images = app.world_mut().resource_mut::<Assets<Image>>();
+    let own = EnvironmentMapLight::solid_color(&mut images, Color::WHITE);
+    let own_sky = Skybox {
+        image: Some(own.diffuse_map.clone()),
+        brightness: 7.0,
+        ..default()
+    };
+    let insert = (own.clone(), own_sky.clone());
+    app.world_mut().entity_mut(camera).insert(insert);
+    let turn = |app: &mut App, rotation_y| {
+        let mut environment = app.world_mut().resource_mut::<VolumeEnvironment>();
+        environment.rotation_y = rotation_y;
+        for _ in 0..3 {
+            app.update();
+        }
+    };
+    turn(&mut app, 1.0);
+    let of_camera = |app: &App| {
+        let camera = app.world().entity(camera);
+        let light = camera.get::<EnvironmentMapLight>().cloned();
+        (light, camera.get::<Skybox>().cloned())
+    };
+    let (light, sky) = of_camera(&app);
+    assert_eq!(light.expect("light").diffuse_map, own.diffuse_map);
+    let sky = sky.expect("a sky");
+    assert_eq!((sky.image, sky.brightness), (own_sky.image.clone(), 7.0));
+    // Off and on again leaves them, too.
+    for is_on in [false, true] {
+        let mut environment = app.world_mut().resource_mut::<VolumeEnvironment>();
+        (environment.lights_meshes, environment.is_sky) = (is_on, is_on);
+        turn(&mut app, 2.0);
+        let (light, sky) = of_camera(&app);
+        assert!(light.is_some_and(|light| light.diffuse_map == own.diffuse_map));
+        assert!(sky.is_some_and(|sky| sky.image == own_sky.image));
+    }
+    // Without its own it gets ours.
+    let mut entity = app.world_mut().entity_mut(camera);
+    entity.remove::<(EnvironmentMapLight, Skybox)>();
+    turn(&mut app, 0.5);
+    let (light, sky) = of_camera(&app);
+    assert_eq!(light.expect("light").diffuse_map, ours.diffuse_map);
+    assert_eq!(sky.expect("a sky").rotation, Quat::from_rotation_y(0.5));
+    // Ours, dimmed by the user, stays as dim.
+    let mut light = app.world_mut().get_mut::<EnvironmentMapLight>(camera);
+    light.as_mut().expect("light").intensity = 0.25;
+    app.world_mut().entity_mut(camera).remove::<Skybox>();
+    turn(&mut app, 1.5);
+    let (light, sky) = of_camera(&app);
+    assert_eq!(light.expect("light").intensity, 0.25);
+    assert!(sky.is_none(), "what was taken away stays away");
 }
 
 /// Until the camera has been given its sky, and its textures are uploaded.

@@ -8,6 +8,8 @@ mod light;
 mod live;
 mod meshes;
 mod scenes;
+mod staying;
+mod views;
 
 use libtest_mimic::{Arguments, Failed, Trial};
 
@@ -28,6 +30,8 @@ fn main() {
         live::TESTS,
         meshes::TESTS,
         scenes::TESTS,
+        staying::TESTS,
+        views::TESTS,
     ]
     .concat();
     let trials = tests.into_iter().map(|(name, body)| {

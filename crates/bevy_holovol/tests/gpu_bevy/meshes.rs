@@ -22,6 +22,12 @@ pub const TESTS: &[crate::Test] = &[
         "edges_of_meshes_are_smooth_with_msaa",
         edges_of_meshes_are_smooth_with_msaa,
     ),
+    ("a_mesh_that_is_loaded_late_is_seen", loaded_late),
+    ("a_mesh_whose_pipeline_comes_late_is_seen", compiled_late),
+    (
+        "meshes_elsewhere_leave_a_finished_image_alone",
+        meshes_elsewhere,
+    ),
     (
         "a_mesh_inside_a_scan_equals_the_reference",
         a_mesh_inside_a_scan_equals_the_reference,
@@ -158,6 +164,118 @@ fn meshes_apart_from_volumes_cost_no_depth() {
         passes,
         "a finished image needs none"
     );
+}
+
+/// A black slab in which a white box will stand, whose front lies 0.3 m behind the slab's.
+fn slab(app: &mut App) -> Handle<Image> {
+    app.insert_resource(VolumeEnvironment {
+        lights_meshes: false,
+        is_sky: false,
+        ..VolumeEnvironment::from_radiance(LinearRgba::BLACK)
+    });
+    let size = Vec3::new(3.0, 3.0, 1.0);
+    spawn_volume(app, solid(size), matter(SIGMA, 0.0));
+    let target = target(app, 24, 24);
+    // Done in one frame: before anything of a mesh's can be compiled.
+    spawn_camera(app, &target, 4.0, settings(16));
+    target
+}
+
+const SLAB_BOX: (Vec3, Vec3) = (Vec3::new(3.0, 3.0, 0.2), Vec3::new(0.0, 0.0, 0.1));
+
+/// What is seen of the box.
+fn through_the_slab() -> f32 {
+    (-SIGMA * 0.3).exp() as f32
+}
+
+/// The handle is there first, and its mesh only when the image is done.
+fn loaded_late() {
+    let mut app = app();
+    let target = slab(&mut app);
+    let cube = spawn_box(&mut app, SLAB_BOX.0, SLAB_BOX.1);
+    let late = app.world().resource::<Assets<Mesh>>().reserve_handle();
+    app.world_mut()
+        .entity_mut(cube)
+        .insert(Mesh3d(late.clone()));
+    finish(&mut app);
+    assert_near("nothing yet", read(&mut app, &target).middle().x, 0.0, 1e-3);
+    app.world_mut()
+        .resource_mut::<Assets<Mesh>>()
+        .insert(&late, Cuboid::from_size(SLAB_BOX.0).into())
+        .expect("a reserved handle");
+    app.update();
+    finish(&mut app);
+    let found = read(&mut app, &target).middle().x;
+    assert_near("the box", found, through_the_slab(), 0.02);
+}
+
+/// As in apps, where frames don't wait for Bevy's pipelines.
+fn compiled_late() {
+    let mut app = app_that(false, AssetPlugin::default(), HolovolPlugins);
+    app.insert_resource(ClearColor(Color::BLACK));
+    let target = slab(&mut app);
+    finish(&mut app);
+    spawn_box(&mut app, SLAB_BOX.0, SLAB_BOX.1);
+    let mut found = f32::NAN;
+    for _ in 0..200 {
+        app.update();
+        finish(&mut app);
+        found = read(&mut app, &target).middle().x;
+        if (found - through_the_slab()).abs() < 0.02 {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+    assert_near("the box", found, through_the_slab(), 0.02);
+}
+
+/// Two volumes behind each other, each with a box, and a third box beside them.
+fn meshes_elsewhere() {
+    let mut app = app();
+    let volumes = [0.5, -0.5].map(|z| {
+        let volume = spawn_volume(&mut app, solid(Vec3::splat(0.4)), matter(SIGMA, 0.5));
+        let place = Transform::from_xyz(0.0, 0.0, z);
+        app.world_mut().entity_mut(volume).insert(place);
+        spawn_box(&mut app, Vec3::splat(0.1), place.translation)
+    });
+    let beside = spawn_box(&mut app, Vec3::splat(0.1), Vec3::new(0.4, 0.0, 0.0));
+    let target = target(&mut app, 24, 24);
+    spawn_camera(&mut app, &target, 4.0, settings(64));
+    finish(&mut app);
+    for _ in 0..3 {
+        app.update();
+    }
+    finish(&mut app);
+    let samples = |app: &mut App| {
+        app.update();
+        finish(app);
+        statistics(app).samples
+    };
+    let before = samples(&mut app);
+    let shift = |app: &mut App, mesh| {
+        let mut place = app.world_mut().get_mut::<Transform>(mesh);
+        place.as_mut().expect("a place").translation.y += 0.01;
+    };
+    shift(&mut app, beside);
+    assert_eq!(samples(&mut app), before, "a box beside the volumes moves");
+    let mesh = app.world().get::<Mesh3d>(beside).expect("a mesh").0.clone();
+    let other = Cuboid::from_size(Vec3::splat(0.12));
+    let mut meshes = app.world_mut().resource_mut::<Assets<Mesh>>();
+    meshes.insert(&mesh, other.into()).expect("a handle in use");
+    assert_eq!(samples(&mut app), before, "it gets another shape");
+    shift(&mut app, volumes[0]);
+    let of_one = 64 * 24 * 24;
+    assert_eq!(samples(&mut app), before + of_one, "one volume's box moves");
+    let mesh = app
+        .world()
+        .get::<Mesh3d>(volumes[1])
+        .expect("a mesh")
+        .0
+        .clone();
+    let mut meshes = app.world_mut().resource_mut::<Assets<Mesh>>();
+    meshes.insert(&mesh, other.into()).expect("a handle in use");
+    let after = samples(&mut app);
+    assert_eq!(after, before + 2 * of_one, "the other's gets another shape");
 }
 
 /// A tilted edge in front of the volume is as smooth as without a volume behind it.

@@ -10,7 +10,8 @@ use bytemuck::{Pod, Zeroable};
 use glam::{DMat4, DVec3};
 
 use crate::shader::{ShaderFile, compose, shader_file};
-use crate::{Denoiser, FrameImage, FrameTracer, Gpu, RenderError};
+use crate::trace::corners;
+use crate::{Denoiser, FrameImage, FrameTracer, Gpu, RenderError, View};
 
 pub(crate) const COMPOSITE: ShaderFile = shader_file!("composite.wgsl");
 
@@ -38,7 +39,7 @@ pub struct CompositePlace {
 
 /// `Composite` of composite.wgsl.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub(crate) struct CompositeUniform {
     pub origin: [f32; 4],
     pub origin_dx: [f32; 4],
@@ -100,6 +101,33 @@ impl CompositeUniform {
             ],
             scale: [place.exposure * per_sample, per_sample, 0.0, 0.0],
         }
+    }
+}
+
+/// What [`Compositor::draw`] needs of an image; kept, it is made anew only if the image moves to
+/// another buffer.
+#[derive(Debug)]
+pub struct CompositeBinding {
+    /// From where the image was seen, and where its volume was.
+    view: View,
+    world_from_unit_cube: DMat4,
+    contents: CompositeUniform,
+    uniform: wgpu::Buffer,
+    pixels: wgpu::Buffer,
+    bind_group: wgpu::BindGroup,
+}
+
+impl CompositeBinding {
+    /// Pixels [left, top, right, bottom] of a view of this size that the image may cover.
+    pub fn bounds(&self, size: [u32; 2]) -> Option<[u32; 4]> {
+        let corners = corners(self.world_from_unit_cube);
+        self.view.resized(size).bounds(&corners)
+    }
+
+    /// The middle of its volume, world metres.
+    pub fn centre(&self) -> DVec3 {
+        self.world_from_unit_cube
+            .transform_point3(DVec3::splat(0.5))
     }
 }
 
@@ -213,7 +241,9 @@ impl Compositor {
         Ok(())
     }
 
-    /// What [`Self::draw`] needs of a tracer's image; `None` while it has no samples.
+    /// What [`Self::draw`] needs of a tracer's image; `None` while it has no samples. `former` is
+    /// that of the same image in the last frame, which is brought up to date: one and the same
+    /// binding serves one draw of a frame.
     ///
     /// # Errors
     /// If the device fails.
@@ -222,51 +252,74 @@ impl Compositor {
         tracer: &FrameTracer,
         slot: usize,
         place: &CompositePlace,
-    ) -> Result<Option<wgpu::BindGroup>, RenderError> {
+        former: Option<CompositeBinding>,
+    ) -> Result<Option<CompositeBinding>, RenderError> {
         let Some(image) = tracer.image(slot) else {
             return Ok(None);
         };
-        let sums = tracer.accumulators();
-        self.bind_image(tracer, &image, Vectors::Two, sums, place)
+        let placement = tracer.image_placement(slot);
+        let vectors = Vectors::Two;
+        let pixels = tracer.accumulators();
+        self.bind_image(&image, vectors, placement, pixels, place, former)
             .map(Some)
     }
 
-    /// As [`Self::bind`], of an eye's image that a denoiser has made of the tracer's.
+    /// As [`Self::bind`], of an eye's image that a denoiser has made.
     ///
     /// # Errors
     /// If the device fails.
     pub fn bind_denoised(
         &self,
-        tracer: &FrameTracer,
         denoiser: &Denoiser,
         eye: usize,
         place: &CompositePlace,
-    ) -> Result<Option<wgpu::BindGroup>, RenderError> {
-        let (Some(image), Some(output)) = (denoiser.image(eye), denoiser.output()) else {
+        former: Option<CompositeBinding>,
+    ) -> Result<Option<CompositeBinding>, RenderError> {
+        let (Some(image), Some(medium), Some(output)) =
+            (denoiser.image(eye), denoiser.medium(), denoiser.output())
+        else {
             return Ok(None);
         };
-        self.bind_image(tracer, &image, Vectors::One, output, place)
+        let placement = medium.world_from_unit_cube;
+        let vectors = Vectors::One;
+        self.bind_image(&image, vectors, placement, output, place, former)
             .map(Some)
     }
 
     fn bind_image(
         &self,
-        tracer: &FrameTracer,
         image: &FrameImage,
         vectors: Vectors,
+        world_from_unit_cube: DMat4,
         pixels: &wgpu::Buffer,
         place: &CompositePlace,
-    ) -> Result<wgpu::BindGroup, RenderError> {
-        let world_from_unit_cube = tracer.medium().world_from_unit_cube;
-        let uniform = CompositeUniform::new(image, vectors, world_from_unit_cube, place);
-        self.gpu.scoped(COMPOSITE.path, 0, || {
-            let contents = bytemuck::bytes_of(&uniform);
-            let uniform =
-                self.gpu
-                    .filled("holovol composite", contents, wgpu::BufferUsages::UNIFORM);
+        former: Option<CompositeBinding>,
+    ) -> Result<CompositeBinding, RenderError> {
+        let contents = CompositeUniform::new(image, vectors, world_from_unit_cube, place);
+        let bytes = bytemuck::bytes_of(&contents);
+        if let Some(mut binding) = former.filter(|former| former.pixels == *pixels) {
+            if binding.contents != contents {
+                self.gpu.queue.write_buffer(&binding.uniform, 0, bytes);
+                binding.contents = contents;
+            }
+            binding.view = image.view;
+            binding.world_from_unit_cube = world_from_unit_cube;
+            return Ok(binding);
+        }
+        self.gpu.scoped(COMPOSITE.path, bytes.len() as u64, || {
+            let usage = wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST;
+            let uniform = self.gpu.filled("holovol composite", bytes, usage);
             let resources = [uniform.as_entire_binding(), pixels.as_entire_binding()];
             let layout = &self.layout;
-            self.gpu.bind_group("holovol composite", layout, resources)
+            let bind_group = self.gpu.bind_group("holovol composite", layout, resources);
+            CompositeBinding {
+                view: image.view,
+                world_from_unit_cube,
+                contents,
+                uniform,
+                pixels: pixels.clone(),
+                bind_group,
+            }
         })
     }
 
@@ -275,11 +328,11 @@ impl Compositor {
         &self,
         pass: &mut wgpu::RenderPass<'_>,
         target: CompositeTarget,
-        bind_group: &wgpu::BindGroup,
+        binding: &CompositeBinding,
     ) {
         if let Some(pipeline) = self.pipelines.get(&target) {
             pass.set_pipeline(pipeline);
-            pass.set_bind_group(0, bind_group, &[]);
+            pass.set_bind_group(0, &binding.bind_group, &[]);
             pass.draw(0..3, 0..1);
         }
     }

@@ -344,6 +344,11 @@ impl Denoiser {
         self.buffers.as_ref().map(|buffers| &buffers.output)
     }
 
+    /// What the images are of; `None` before the first frame.
+    pub fn medium(&self) -> Option<&Medium> {
+        self.before.as_ref().map(|before| &before.medium)
+    }
+
     /// An eye's image in [`Denoiser::output`]; `None` before the first frame.
     pub fn image(&self, eye: usize) -> Option<FrameImage> {
         let view = *self.before.as_ref()?.views.get(eye)?;

@@ -5,19 +5,22 @@
 //! the caller's, for up to [`MAX_VIEWS`] views in one dispatch, and never waits for the device.
 //! A view that has not changed gathers further samples; one that has, or whose volume has, begins
 //! anew; one that has as many as it wants costs nothing. Paths that outlive their dispatch go on in
-//! a further one of the same frame; none is cut.
+//! a further one of the same frame; none is cut. A frame of many samples is split into dispatches
+//! that a driver's watchdog lets pass.
 //!
 //! Uploading a volume ([`GpuVolume::new`]) waits for the device: do it on a worker.
 
 mod kernels;
 mod readback;
+mod record;
 mod resume;
 mod shares;
+mod split;
 mod view;
 
 use std::sync::Arc;
 
-use bytemuck::Zeroable;
+use glam::DMat4;
 
 pub(crate) use kernels::FrameKernels;
 pub use kernels::Kernels;
@@ -27,13 +30,14 @@ pub(crate) use resume::RESUME;
 use resume::Resume;
 use shares::Shares;
 pub use shares::{SHARE_BLOCK, SampleShares};
+use split::SAMPLES_PER_DISPATCH;
 use view::Slot;
 pub use view::{FrameImage, FrameWork, ViewFrame};
 
 use crate::depth::MeshDepth;
 use crate::trace::{
-    Buffers, DispatchUniform, GpuCounters, PIXEL_BYTES, QUEUE_CAPACITY, Surroundings, ViewUniform,
-    check_medium, check_options, kernel_seed, layout, shader_defs,
+    Buffers, GpuCounters, PIXEL_BYTES, Surroundings, check_medium, check_options, layout,
+    shader_defs,
 };
 use crate::{
     Counters, Gpu, GpuEnvironment, GpuVolume, MAX_VIEWS, MajorantGrid, Medium, RenderError,
@@ -74,6 +78,9 @@ pub struct FrameTracer {
     beginnings: u64,
     /// With what they were compiled for: mesh depth, shares of samples.
     special_kernels: Option<([bool; 2], FrameKernels)>,
+    /// What the parts of a frame that takes several dispatches are told, one after the other.
+    parts: Option<wgpu::Buffer>,
+    samples_per_dispatch: u64,
     /// For tests.
     general_only: bool,
 }
@@ -120,6 +127,8 @@ impl FrameTracer {
             counters: Counters::default(),
             beginnings: 0,
             special_kernels: None,
+            parts: None,
+            samples_per_dispatch: SAMPLES_PER_DISPATCH,
             general_only: false,
         };
         tracer.kernels(false)?;
@@ -168,7 +177,7 @@ impl FrameTracer {
         self.bind_groups = None;
         self.special_kernels = None;
         for slot in &mut self.slots {
-            slot.view = None;
+            slot.is_stale = true;
         }
         self.buffers.set_medium(
             &self.gpu,
@@ -210,23 +219,18 @@ impl FrameTracer {
                 ),
             });
         }
+        let buffers = Buffers::new(&self.gpu, total, &self.options)?;
+        self.resume.set_buffers(&self.gpu, &buffers)?;
         // Samples of what was drawn go with the buffers; so do paths that were saved.
-        self.buffers = Buffers::new(&self.gpu, total, &self.options)?;
-        self.resume = Resume::new(&self.gpu, &self.buffers)?;
+        self.slots.clear();
+        self.buffers = buffers;
         self.upload_medium()?;
         self.shares.set_slots(rooms.len());
         let mut first_pixel = 0;
         self.slots = rooms
             .iter()
             .map(|&room| {
-                let slot = Slot {
-                    first_pixel,
-                    room,
-                    view: None,
-                    mesh_depth: None,
-                    samples: 0,
-                    uniform: ViewUniform::zeroed(),
-                };
+                let slot = Slot::empty(first_pixel, room);
                 first_pixel += pixels(room) as u32;
                 slot
             })
@@ -248,7 +252,7 @@ impl FrameTracer {
         if self.shares.set(&self.gpu, slot, shares)?
             && let Some(slot) = self.slots.get_mut(slot)
         {
-            slot.view = None;
+            slot.is_stale = true;
         }
         if self.shares.view() != view.as_ref() {
             self.bind_groups = None;
@@ -273,10 +277,7 @@ impl FrameTracer {
         let mesh_depth = mesh_depth.and_then(MeshDepth::view);
         let ends_at_meshes = mesh_depth.is_some() && views.iter().any(|v| v.mesh_depth.is_some());
         let Some(kernels) = self.kernels(ends_at_meshes)? else {
-            // What was asked for now must not be forgotten until they are there.
-            for frame in views.iter().filter(|frame| frame.restart) {
-                self.slots[frame.slot].view = None;
-            }
+            self.pass_over(views);
             return Ok(FrameWork {
                 is_waiting: true,
                 ..Default::default()
@@ -293,7 +294,26 @@ impl FrameTracer {
             return Ok(FrameWork::default());
         }
         self.bind(mesh_depth)?;
-        Ok(self.record_dispatches(encoder, &kernels))
+        self.record_dispatches(encoder, &kernels)
+    }
+
+    /// A frame goes by without [`Self::record`]: images that it wants anew stay as they are until
+    /// they begin, but get no further samples.
+    pub fn pass_over(&mut self, views: &[ViewFrame]) {
+        for frame in views.iter().filter(|frame| frame.restart) {
+            if let Some(slot) = self.slots.get_mut(frame.slot) {
+                slot.is_stale = true;
+            }
+        }
+    }
+
+    /// Whether [`Self::record`] would not have to wait for the compiler; asks for what is missing.
+    /// `mesh_depth` says whether paths are to end at meshes.
+    ///
+    /// # Errors
+    /// If the kernels don't compile.
+    pub fn is_ready(&mut self, mesh_depth: bool) -> Result<bool, RenderError> {
+        self.kernels(mesh_depth).map(|kernels| kernels.is_some())
     }
 
     /// Whether a view would be given samples.
@@ -301,9 +321,11 @@ impl FrameTracer {
         let Some(slot) = self.slots.get(frame.slot) else {
             return false;
         };
-        let begins =
-            frame.restart || slot.view != Some(frame.view) || slot.mesh_depth != frame.mesh_depth;
-        let samples = if begins { 0 } else { slot.samples };
+        let samples = if slot.begins_with(frame) {
+            0
+        } else {
+            slot.samples
+        };
         frame.samples > 0 && samples < frame.max_samples
     }
 
@@ -344,136 +366,6 @@ impl FrameTracer {
         )
     }
 
-    /// Brings a slot to a frame's wishes.
-    fn prepare_view(&mut self, encoder: &mut wgpu::CommandEncoder, frame: &ViewFrame) {
-        let slot = &mut self.slots[frame.slot];
-        let [width, height] = frame.view.size;
-        assert!(
-            width <= slot.room[0] && height <= slot.room[1],
-            "a view no larger than its room"
-        );
-        let is_new = slot.view != Some(frame.view) || slot.mesh_depth != frame.mesh_depth;
-        if frame.restart || is_new {
-            let pixel = PIXEL_BYTES;
-            encoder.clear_buffer(
-                &self.buffers.accumulators,
-                pixel * u64::from(slot.first_pixel),
-                Some(pixel * u64::from(width) * u64::from(height)),
-            );
-            slot.view = Some(frame.view);
-            slot.mesh_depth = frame.mesh_depth;
-            slot.samples = 0;
-            self.beginnings += 1;
-            let mut uniform = ViewUniform::new(&frame.view, &self.medium, &self.volume);
-            uniform.image[2] = slot.first_pixel;
-            uniform.image[3] = kernel_seed(beginning_seed(self.options.seed, self.beginnings));
-            if let Some(depth) = frame.mesh_depth {
-                uniform.mesh_depth = [depth.size[0], depth.size[1], depth.first, depth.count];
-            }
-            slot.uniform = uniform;
-        }
-        let start = slot.samples;
-        let end = start.saturating_add(frame.samples).min(frame.max_samples);
-        if end > start && frame.view.is_valid() {
-            slot.samples = end;
-            slot.uniform.samples = [start, end, 0, 0];
-        }
-    }
-
-    fn bind(&mut self, mesh_depth: Option<&wgpu::TextureView>) -> Result<(), RenderError> {
-        if self.bound_mesh_depth.as_ref() != mesh_depth {
-            self.bound_mesh_depth = mesh_depth.cloned();
-            self.bind_groups = None;
-        }
-        if self.bind_groups.is_none() {
-            self.bind_groups = Some(self.buffers.bind_groups(
-                &self.gpu,
-                &self.layout,
-                &self.volume,
-                &self.majorants,
-                &self.environment,
-                mesh_depth,
-                self.shares.view(),
-                0..self.buffers.pixels(),
-            )?);
-        }
-        Ok(())
-    }
-
-    fn record_dispatches(
-        &mut self,
-        encoder: &mut wgpu::CommandEncoder,
-        kernels: &FrameKernels,
-    ) -> FrameWork {
-        let mut work = FrameWork::default();
-        let Some(bind_groups) = &self.bind_groups else {
-            return work;
-        };
-        let traced = || self.slots.iter().filter(|slot| slot.is_traced());
-        let [left, top, right, bottom] = traced()
-            .filter_map(|slot| slot.view?.bounds(&self.medium.corners()))
-            .fold([u32::MAX, u32::MAX, 0, 0], |a, b| {
-                [
-                    a[0].min(b[0]),
-                    a[1].min(b[1]),
-                    a[2].max(b[2]),
-                    a[3].max(b[3]),
-                ]
-            });
-        // Blocks that share their samples are workgroups.
-        let [left, top] = match self.shares.are_there() {
-            true => [left, top].map(|n| n / SHARE_BLOCK * SHARE_BLOCK),
-            false => [left, top],
-        };
-        let tile_size = [right.saturating_sub(left), bottom.saturating_sub(top)];
-        let uniform = DispatchUniform {
-            tile_origin: [left, top],
-            tile_size,
-            seed: 0,
-            budget: self.options.budget,
-            resumed_paths: 0,
-            queue_capacity: QUEUE_CAPACITY,
-        };
-        // Slots keep their place, so that a path that was saved finds its view again.
-        let views: Vec<_> = self.slots.iter().map(|slot| slot.uniform).collect();
-        let queue = &self.gpu.queue;
-        queue.write_buffer(&self.buffers.dispatch, 0, bytemuck::bytes_of(&uniform));
-        queue.write_buffer(&self.buffers.views, 0, bytemuck::cast_slice(&views));
-        // The words that the kernels which count saved paths write.
-        encoder.clear_buffer(&self.buffers.counters, GpuCounters::FLOW, Some(8));
-        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-            label: Some("holovol trace"),
-            timestamp_writes: None,
-        });
-        let [x, y] = tile_size.map(|n| n.div_ceil(8));
-        if x > 0 && y > 0 {
-            pass.set_pipeline(&kernels.trace);
-            pass.set_bind_group(0, &bind_groups[0], &[]);
-            pass.dispatch_workgroups(x, y, views.len() as u32);
-            // Paths that outlived their budget; the last dispatch has none.
-            for (count, bind_group) in self.resume.pipelines.iter().zip([1, 0]) {
-                pass.set_pipeline(count);
-                pass.set_bind_group(0, &self.resume.bind_group, &[]);
-                pass.dispatch_workgroups(1, 1, 1);
-                pass.set_pipeline(&kernels.resume);
-                pass.set_bind_group(0, &bind_groups[bind_group], &[]);
-                pass.dispatch_workgroups_indirect(&self.resume.workgroups, 0);
-            }
-            work.dispatches = 5;
-        }
-        drop(pass);
-        for (slot, view) in views.iter().enumerate() {
-            let samples = view.samples[1] - view.samples[0];
-            let pixels = u64::from(view.image[0]) * u64::from(view.image[1]);
-            work.samples += match self.shares.of(slot) {
-                Some(shares) => shares.total(samples),
-                None => pixels * u64::from(samples),
-            };
-        }
-        self.readback.record(encoder, &self.buffers.counters);
-        work
-    }
-
     /// Takes in what the device has counted.
     fn poll(&mut self) {
         let Some(bytes) = self.readback.poll() else {
@@ -500,7 +392,8 @@ impl FrameTracer {
         &self.medium
     }
 
-    /// A view's image; `None` until it has samples.
+    /// A view's image; `None` until it has samples. What was traced last stays until the next image
+    /// begins.
     pub fn image(&self, slot: usize) -> Option<FrameImage> {
         let slot = self.slots.get(slot)?;
         let view = slot.view?;
@@ -509,6 +402,20 @@ impl FrameTracer {
             size: view.size,
             samples: slot.samples,
             view,
+        })
+    }
+
+    /// Whether a view's image is of the present medium and light; while kernels are compiled it may
+    /// be of the former.
+    pub fn is_current(&self, slot: usize) -> bool {
+        self.slots.get(slot).is_some_and(|slot| !slot.is_stale)
+    }
+
+    /// Where the volume was when a view's image began: metres from unit-cube coordinates.
+    pub fn image_placement(&self, slot: usize) -> DMat4 {
+        let slot = self.slots.get(slot);
+        slot.map_or(self.medium.world_from_unit_cube, |slot| {
+            slot.world_from_unit_cube
         })
     }
 
@@ -550,6 +457,13 @@ impl FrameTracer {
     #[doc(hidden)]
     pub fn use_general_kernels(&mut self, only: bool) {
         self.general_only = only;
+    }
+
+    /// Splits frames into dispatches of about so many samples.
+    #[cfg(any(test, feature = "testing"))]
+    #[doc(hidden)]
+    pub fn split_at(&mut self, samples: u64) {
+        self.samples_per_dispatch = samples;
     }
 
     /// Reads a view's image back and waits for it: for tests and servers.

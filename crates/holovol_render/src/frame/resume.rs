@@ -7,6 +7,7 @@ pub(crate) const RESUME: ShaderFile = shader_file!("resume.wgsl");
 
 /// Sizes, on the device, the dispatches that go on with saved paths.
 pub(super) struct Resume {
+    layout: wgpu::BindGroupLayout,
     /// Before a dispatch that goes on with saved paths, and before the last such.
     pub(super) pipelines: [wgpu::ComputePipeline; 2],
     pub(super) workgroups: wgpu::Buffer,
@@ -26,20 +27,37 @@ impl Resume {
         ];
         let pipeline = |entry| gpu.pipeline(&RESUME, &defs, entry, &layout);
         let pipelines = [pipeline("count")?, pipeline("count_last")?];
-        let (workgroups, bind_group) = gpu.scoped("saved paths", 12, || {
+        let workgroups = gpu.scoped("saved paths", 12, || {
             let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::INDIRECT;
-            let workgroups = gpu.empty("holovol resume", 12, usage);
-            let resources = [
-                buffers.counters.as_entire_binding(),
-                workgroups.as_entire_binding(),
-            ];
-            let bind_group = gpu.bind_group("holovol resume", &layout, resources);
-            (workgroups, bind_group)
+            gpu.empty("holovol resume", 12, usage)
         })?;
+        let bind_group = bind_group(gpu, &layout, buffers, &workgroups)?;
         Ok(Self {
+            layout,
             pipelines,
             workgroups,
             bind_group,
         })
     }
+
+    /// Takes other buffers; nothing is compiled again.
+    pub(super) fn set_buffers(&mut self, gpu: &Gpu, buffers: &Buffers) -> Result<(), RenderError> {
+        self.bind_group = bind_group(gpu, &self.layout, buffers, &self.workgroups)?;
+        Ok(())
+    }
+}
+
+fn bind_group(
+    gpu: &Gpu,
+    layout: &wgpu::BindGroupLayout,
+    buffers: &Buffers,
+    workgroups: &wgpu::Buffer,
+) -> Result<wgpu::BindGroup, RenderError> {
+    let resources = [
+        buffers.counters.as_entire_binding(),
+        workgroups.as_entire_binding(),
+    ];
+    gpu.scoped("saved paths", 0, || {
+        gpu.bind_group("holovol resume", layout, resources)
+    })
 }

@@ -1,3 +1,6 @@
+use bytemuck::Zeroable;
+use glam::DMat4;
+
 use crate::View;
 use crate::depth::DepthLayers;
 use crate::trace::ViewUniform;
@@ -49,12 +52,37 @@ pub(super) struct Slot {
     pub(super) first_pixel: u32,
     pub(super) room: [u32; 2],
     pub(super) view: Option<View>,
+    /// Of what is no more: shown until the next image begins.
+    pub(super) is_stale: bool,
+    /// Where the volume was when the image began.
+    pub(super) world_from_unit_cube: DMat4,
     pub(super) mesh_depth: Option<DepthLayers>,
     pub(super) samples: u32,
     pub(super) uniform: ViewUniform,
 }
 
 impl Slot {
+    pub(super) fn empty(first_pixel: u32, room: [u32; 2]) -> Self {
+        Self {
+            first_pixel,
+            room,
+            view: None,
+            is_stale: false,
+            world_from_unit_cube: DMat4::IDENTITY,
+            mesh_depth: None,
+            samples: 0,
+            uniform: ViewUniform::zeroed(),
+        }
+    }
+
+    /// Whether a frame's image is another one than this.
+    pub(super) fn begins_with(&self, frame: &ViewFrame) -> bool {
+        frame.restart
+            || self.is_stale
+            || self.view != Some(frame.view)
+            || self.mesh_depth != frame.mesh_depth
+    }
+
     pub(super) fn is_traced(&self) -> bool {
         self.uniform.samples[1] > self.uniform.samples[0]
     }

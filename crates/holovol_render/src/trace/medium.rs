@@ -82,10 +82,14 @@ impl Medium {
 
     /// Corners of the unit cube in the world.
     pub fn corners(&self) -> [DVec3; 8] {
-        std::array::from_fn(|corner| {
-            let bit = |i: usize| (corner >> i & 1) as f64;
-            self.world_from_unit_cube
-                .transform_point3(DVec3::new(bit(0), bit(1), bit(2)))
-        })
+        corners(self.world_from_unit_cube)
     }
+}
+
+/// Corners of the unit cube in the world.
+pub(crate) fn corners(world_from_unit_cube: DMat4) -> [DVec3; 8] {
+    std::array::from_fn(|corner| {
+        let bit = |i: usize| (corner >> i & 1) as f64;
+        world_from_unit_cube.transform_point3(DVec3::new(bit(0), bit(1), bit(2)))
+    })
 }

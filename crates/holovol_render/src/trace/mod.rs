@@ -32,6 +32,7 @@ use crate::shader::ShaderDefs;
 use crate::{Gpu, GpuVolume, MajorantGrid, RenderError};
 pub use environment::GpuEnvironment;
 pub use medium::Medium;
+pub(crate) use medium::corners;
 pub(crate) use resources::{Buffers, GUIDE_BYTES, PIXEL_BYTES, layout};
 pub use uniforms::MAX_VIEWS;
 pub(crate) use uniforms::{DispatchUniform, ViewUniform, kernel_seed};

@@ -127,6 +127,48 @@ pub fn equal_the_offline_tracer(gpu: &Gpu) -> Result<(), String> {
     Ok(())
 }
 
+/// A frame that is split into many dispatches is bit by bit the one that isn't.
+pub fn parts_equal_the_whole(gpu: &Gpu) -> Result<(), String> {
+    let scene = scenes::scene();
+    let other = Camera {
+        eye: DVec3::new(-0.3, 0.2, 0.2),
+        width: 31,
+        height: 37,
+        ..scene.camera
+    };
+    let cameras = [scene.camera, other];
+    let rooms = cameras.map(|camera| [camera.width, camera.height]);
+    let mut images = Vec::new();
+    for most in [u64::MAX, 700] {
+        let options = TraceOptions {
+            budget: 7,
+            ..Default::default()
+        };
+        let mut tracer = tracer(gpu, &scene, &options)?;
+        tracer.split_at(most);
+        tracer.set_views(&rooms).map_err(text)?;
+        let views = [view(0, &scene.camera, 3, 5), view(1, &other, 2, 7)];
+        let mut dispatches = 0;
+        for _ in 0..4 {
+            dispatches += frame(gpu, &mut tracer, &views, None)?.dispatches;
+        }
+        images.push([0, 1].map(|slot| tracer.read_image(slot).map(|image| bits(&image))));
+        let is_split = dispatches > 4 * 5;
+        if is_split != (most == 700) {
+            return Err(format!("{dispatches} dispatches of {most} samples"));
+        }
+    }
+    for (slot, (a, b)) in images[0].iter().zip(&images[1]).enumerate() {
+        let [a, b] = [a, b].map(|image| image.as_ref().map_err(text));
+        let (a, b) = (a?, b?);
+        let differ = a.iter().zip(b).filter(|(a, b)| a != b).count();
+        if a.is_empty() || a.len() != b.len() || differ > 0 {
+            return Err(format!("view {slot}: {differ} pixels differ"));
+        }
+    }
+    Ok(())
+}
+
 /// The variant that serves until the right one is compiled gives the same light.
 pub fn general_kernels_equal_special_ones(gpu: &Gpu) -> Result<(), String> {
     for (max_scatters, gradient_factor, planes) in [

@@ -54,6 +54,10 @@ const CHECKS: &[(&str, Check)] = &[
         frames::equal_the_offline_tracer,
     ),
     (
+        "a_frame_in_parts_equals_the_whole",
+        frames::parts_equal_the_whole,
+    ),
+    (
         "general_kernels_equal_special_ones",
         frames::general_kernels_equal_special_ones,
     ),
