@@ -379,7 +379,9 @@ fn bevy_seconds() -> Option<f64> {
 /// the image over the view. Frames without our plugins, and the tracer by itself, are taken off.
 fn overhead() {
     const FRAMES: u32 = 20;
-    const ROUNDS: usize = 50;
+    // On a machine that is busy with something else, moments in which nothing is added are rare.
+    const ROUNDS: [usize; 2] = [50, 500];
+    const MOST: f64 = 0.5;
     let stage = |mode, medium| {
         let mut app = app();
         spawn_volume(&mut app, solid(Vec3::ONE), medium);
@@ -411,7 +413,13 @@ fn overhead() {
 
     // What else the machine does can only add: the least of each is what it costs.
     let mut least = [f64::INFINITY; 4];
-    for _ in 0..ROUNDS {
+    let ours =
+        |[without, resting, tracing, bare]: [f64; 4]| [resting - without, tracing - without - bare];
+    let mut rounds = 0;
+    while rounds < ROUNDS[0]
+        || rounds < ROUNDS[1] && ours(least).iter().any(|&milliseconds| milliseconds >= MOST)
+    {
+        rounds += 1;
         let per_frame = |frame: &mut dyn FnMut()| {
             let start = bevy_seconds()?;
             for _ in 0..FRAMES {
@@ -434,14 +442,17 @@ fn overhead() {
         }
     }
     let traced = statistics(&tracing).dispatches - dispatches;
-    assert!(traced >= u64::from(FRAMES) * ROUNDS as u64, "{traced}");
-    let [without, resting, tracing, bare] = least;
-    let (resting, tracing) = (resting - without, tracing - without - bare);
+    assert!(traced >= u64::from(FRAMES) * rounds as u64, "{traced}");
+    let [resting, tracing] = ours(least);
+    let [without, .., bare] = least;
     eprintln!(
         "{resting:.3} ms a frame at rest, {tracing:.3} ms while tracing (without {without:.3}, \
-         bare tracer {bare:.3})"
+         bare tracer {bare:.3}; {rounds} rounds)"
     );
-    assert!(resting < 0.5 && tracing < 0.5, "{resting:.3}, {tracing:.3}");
+    assert!(
+        resting < MOST && tracing < MOST,
+        "{resting:.3}, {tracing:.3}"
+    );
 }
 
 /// Traces a frame of 4 × 4 pixels as an app without Bevy would.
