@@ -137,11 +137,30 @@ there is a display, the preview's window stands beside it. See docs/headsets.md.
 Examples:
   holovol xr
   holovol xr scan.nii.gz room.hdr
+  holovol xr scan.nii.gz --camera virtual:room.hdr
   holovol xr --simulate --out pictures/xr     # no headset needed: writes what both eyes see")]
 pub struct XrArgs {
-    /// Scans, folders of DICOM files, scenes, *.tf.json, *.hdr, *.exr
+    /// Scans, folders of DICOM files, scenes, *.tf.json, panoramas (*.hdr, *.exr, *.png, *.jpg)
     #[arg(value_name = "FILE")]
     pub files: Vec<PathBuf>,
+    /// Light by a 360° camera: a panorama or a folder of them, played again and again; `virtual` or
+    /// `virtual:ROOM.hdr` is one that isn't there, in a room that is a map
+    #[arg(long, value_name = "URI")]
+    pub camera: Option<String>,
+    /// How the camera is turned against the headset's space, degrees about the vertical
+    #[arg(
+        long,
+        value_name = "DEGREES",
+        default_value_t = 0.0,
+        allow_negative_numbers = true
+    )]
+    pub camera_turn: f32,
+    /// Open the panel in the room at once
+    #[arg(long)]
+    pub panel: bool,
+    /// Play recorded hands (lines of JSON) instead of the headset's
+    #[arg(long, value_name = "FILE")]
+    pub hands: Option<PathBuf>,
     /// Start Monado with a headset that moves by itself; without a display, writes pictures
     #[arg(long)]
     pub simulate: bool,

@@ -39,6 +39,18 @@ pub struct Hand {
 #[derive(Resource, Clone, Copy, Debug, Default, PartialEq)]
 pub struct Hands(pub [Hand; 2]);
 
+impl Hands {
+    /// The same hands elsewhere, such as from tracking space to the world.
+    pub fn moved(self, by: Isometry3d) -> Self {
+        Self(self.0.map(|hand| Hand {
+            grip: hand.grip.map(|grip| by * grip),
+            aim: hand.aim.map(|aim| by * aim),
+            poke: hand.poke.map(|poke| by * poke),
+            ..hand
+        }))
+    }
+}
+
 impl Hand {
     /// Of the joints that are tracked: place and orientation of each. A hand is tracked when thumb,
     /// index finger and wrist are. Joints that aren't finite aren't tracked.

@@ -102,6 +102,11 @@ impl HandMenu {
         self.is_shown.then_some(self.surface)
     }
 
+    /// What the other hand does to it.
+    pub fn touch(&self) -> SurfaceTouch {
+        self.touch
+    }
+
     /// The button that is pointed at, from the top.
     pub fn hovered(&self) -> Option<usize> {
         self.touch.hand?;

@@ -12,9 +12,11 @@
 
 mod cutting;
 mod hands;
+mod marks;
 mod menu;
 mod plugin;
 mod pointer;
+mod reach;
 mod recording;
 mod shape;
 mod surface;
@@ -28,22 +30,22 @@ pub use cutting::HandPlane;
 pub use hands::{
     Hand, Hands, INDEX_KNUCKLE, INDEX_TIP, JOINT_COUNT, LITTLE_KNUCKLE, THUMB_TIP, WRIST,
 };
+pub use marks::{InteractionMarks, InteractionMarksPlugin, MenuFace};
 pub use menu::{HandMenu, MENU_BUTTONS, MENU_HALF_SIZE};
 pub use plugin::{
-    CurrentInteraction, CurrentMenu, Graspable, InteractionPlugin, InteractionSystems, MenuPressed,
-    TouchPanel, Viewer,
+    CurrentInteraction, CurrentMenu, Graspable, HandTarget, HandTargets, InteractionPlugin,
+    InteractionSystems, MenuPressed, TouchPanel, Viewer,
 };
 pub use pointer::{PointerHand, PointerHandPlugin};
+pub use reach::Reached;
 pub use recording::{HandData, HandFrame, HandRecorder, HandRecording, Joints, RecordingError};
 pub use shape::{Handle, Placement};
 pub use surface::{Surface, SurfaceTouch, Touching};
 
+use reach::{pose_of, reach};
+
 /// m around a box within which a pinch takes it.
 pub const REACH: f32 = 0.05;
-/// m around a handle within which a pinch takes it.
-const HANDLE_REACH: f32 = 0.03;
-/// As an angle, for rays.
-const HANDLE_ANGLE: f32 = 0.03;
 /// s for which a hand that isn't tracked keeps what it holds.
 pub const HOLD: f32 = 0.3;
 /// Squeezes that take, and that let go: between them nothing changes.
@@ -141,6 +143,7 @@ enum Grip {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Held {
     thing: usize,
+    handle: Option<Handle>,
     grip: Grip,
     /// By the ray; m to where it holds.
     far: Option<f32>,
@@ -194,10 +197,19 @@ impl Interaction {
         self.held.get(hand)?.map(|held| held.thing)
     }
 
-    /// What a hand would take: a thing, and which of its handles.
-    pub fn hovered(hand: &Hand, things: &[Grabbable]) -> Option<(usize, Option<Handle>)> {
-        let (thing, handle, _) = reach(hand, things)?;
-        Some((thing, handle))
+    /// What a hand has, as it was when it took it.
+    pub fn grip(&self, hand: usize) -> Option<Reached> {
+        let held = self.held.get(hand)?.as_ref()?;
+        Some(Reached {
+            thing: held.thing,
+            handle: held.handle,
+            far: held.far,
+        })
+    }
+
+    /// What a hand would take.
+    pub fn hovered(hand: &Hand, things: &[Grabbable]) -> Option<Reached> {
+        reach(hand, things)
     }
 
     fn update_hand(&mut self, index: usize, hand: &Hand, things: &mut [Grabbable], dt: f32) {
@@ -235,7 +247,7 @@ impl Interaction {
     }
 
     fn take(&mut self, hand: &Hand, things: &[Grabbable]) -> Option<Held> {
-        let (thing, handle, far) = reach(hand, things)?;
+        let Reached { thing, handle, far } = reach(hand, things)?;
         let pose = pose_of(hand, far)?;
         let grabbed = &things[thing];
         let target = self.targets[thing].unwrap_or(grabbed.placement);
@@ -264,6 +276,7 @@ impl Interaction {
         };
         Some(Held {
             thing,
+            handle,
             grip,
             far,
             last: pose,
@@ -329,6 +342,7 @@ impl Interaction {
                 continue;
             };
             let target = self.targets[held.thing].unwrap_or(thing.placement);
+            held.handle = None;
             held.grip = Grip::Whole {
                 hand_from_thing: held.last.inverse() * isometry(&target),
             };
@@ -421,80 +435,4 @@ fn clamp_scale(scale: f32, [least, most]: [f32; 2]) -> f32 {
 
 fn isometry(placement: &Placement) -> Isometry3d {
     Isometry3d::new(placement.translation, placement.rotation)
-}
-
-/// Where a hand holds: itself, or the end of its ray.
-fn pose_of(hand: &Hand, far: Option<f32>) -> Option<Isometry3d> {
-    let pose = match far {
-        None => hand.grip?,
-        Some(distance) => {
-            let aim = hand.aim?;
-            let end = Vec3::from(aim.translation) + aim.rotation * Vec3::new(0.0, 0.0, -distance);
-            Isometry3d::new(end, aim.rotation)
-        }
-    };
-    let is_pose = pose.translation.is_finite() && pose.rotation.is_finite();
-    (is_pose && pose.rotation.is_normalized()).then_some(pose)
-}
-
-/// The nearest thing that a hand touches, else the first that it points at: which, which handle,
-/// and how far along the ray.
-fn reach(hand: &Hand, things: &[Grabbable]) -> Option<(usize, Option<Handle>, Option<f32>)> {
-    let valid = || {
-        let things = things.iter().enumerate();
-        things.filter(|(_, thing)| thing.placement.is_valid())
-    };
-    if let Some(grip) = pose_of(hand, None) {
-        let place = Vec3::from(grip.translation);
-        let near = valid()
-            .map(|(index, thing)| {
-                let local = thing.placement.to_local(place);
-                let distance = shape::distance_to_box(local, thing.half_size);
-                (index, distance * thing.placement.scale)
-            })
-            .filter(|(_, distance)| *distance <= REACH)
-            .min_by(|a, b| a.1.total_cmp(&b.1));
-        if let Some((index, _)) = near {
-            let thing = &things[index];
-            let handle = nearest_handle(thing, |handle_place| {
-                Some(handle_place.distance(place)).filter(|d| *d <= HANDLE_REACH)
-            });
-            return Some((index, handle, None));
-        }
-    }
-    let aim = pose_of(hand, Some(0.0))?;
-    let (origin, direction) = (Vec3::from(aim.translation), aim.rotation * Vec3::NEG_Z);
-    let hits = valid().filter_map(|(index, thing)| {
-        let placement = &thing.placement;
-        let in_thing = placement.to_local(origin);
-        // Lengths along the ray stay metres of the world.
-        let ray = placement.rotation.inverse() * direction / placement.scale;
-        // Handles stand out of the box.
-        let margin = HANDLE_REACH / placement.scale;
-        let entry = shape::ray_to_box(in_thing, ray, thing.half_size + margin)?;
-        Some((index, entry))
-    });
-    let (index, entry) = hits.min_by(|a, b| a.1.total_cmp(&b.1))?;
-    let thing = &things[index];
-    let handle = nearest_handle(thing, |place| {
-        let (along, distance) = shape::ray_to_point(origin, direction, place);
-        let limit = HANDLE_REACH.max(HANDLE_ANGLE * along);
-        // Those behind the box are hidden by it.
-        let is_in_front = along <= entry + 2.0 * limit;
-        (is_in_front && distance <= limit).then_some(distance)
-    });
-    Some((index, handle, Some(entry)))
-}
-
-fn nearest_handle(thing: &Grabbable, distance: impl Fn(Vec3) -> Option<f32>) -> Option<Handle> {
-    if !thing.has_handles {
-        return None;
-    }
-    Handle::all()
-        .filter_map(|handle| {
-            let place = thing.placement.to_world(handle.place(thing.half_size));
-            Some((handle, distance(place)?))
-        })
-        .min_by(|a, b| a.1.total_cmp(&b.1))
-        .map(|(handle, _)| handle)
 }

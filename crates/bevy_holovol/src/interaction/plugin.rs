@@ -5,8 +5,8 @@ use bevy::math::Isometry3d;
 use bevy::prelude::*;
 
 use super::{
-    Grabbable, Hand, HandMenu, HandPlane, Hands, Interaction, Placement, Surface, SurfaceTouch,
-    Touching, cutting,
+    Grabbable, Hand, HandMenu, HandPlane, Handle, Hands, Interaction, Placement, Surface,
+    SurfaceTouch, Touching, cutting, pose_of,
 };
 
 /// Lets hands take what is [`Graspable`], press [`TouchPanel`]s and the menu, and hold
@@ -82,9 +82,28 @@ impl TouchPanel {
     }
 }
 
+/// What a hand touches, points at or has.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HandTarget {
+    /// Something [`Graspable`], or a [`TouchPanel`]; `None` is the menu.
+    pub entity: Option<Entity>,
+    /// Which handle of a thing.
+    pub handle: Option<Handle>,
+    /// Taken or pressed.
+    pub is_held: bool,
+    /// Touched; else it is at the end of the ray.
+    pub is_near: bool,
+    /// Where, in the world.
+    pub place: Vec3,
+}
+
+/// What the hands are at, left and right; read only.
+#[derive(Resource, Clone, Copy, Debug, Default, PartialEq)]
+pub struct HandTargets(pub [Option<HandTarget>; 2]);
+
 /// Hands as far as nothing else has them.
 #[derive(Resource, Default)]
-struct FreeHands(Hands);
+pub(super) struct FreeHands(pub(super) Hands);
 
 impl Plugin for InteractionPlugin {
     fn build(&self, app: &mut App) {
@@ -92,6 +111,7 @@ impl Plugin for InteractionPlugin {
             .init_resource::<Hands>()
             .init_resource::<Viewer>()
             .init_resource::<FreeHands>()
+            .init_resource::<HandTargets>()
             .init_resource::<CurrentInteraction>()
             .add_message::<MenuPressed>()
             .add_systems(
@@ -114,9 +134,10 @@ fn press(
     viewer: Res<Viewer>,
     interaction: Res<CurrentInteraction>,
     menu: Option<ResMut<CurrentMenu>>,
-    mut panels: Query<(&mut TouchPanel, &GlobalTransform)>,
+    mut panels: Query<(Entity, &mut TouchPanel, &GlobalTransform)>,
     planes: Query<&HandPlane>,
     mut free: ResMut<FreeHands>,
+    mut targets: ResMut<HandTargets>,
     mut pressed: MessageWriter<MenuPressed>,
 ) {
     let mut busy = [0, 1].map(|hand| interaction.held(hand).is_some());
@@ -125,6 +146,8 @@ fn press(
         busy[plane.hand()] = true;
         taken[plane.hand()] = true;
     }
+    let targets = &mut targets.bypass_change_detection().0;
+    *targets = [None; 2];
     if let Some(mut menu) = menu {
         let dt = time.delta_secs();
         let button = menu
@@ -132,19 +155,23 @@ fn press(
             .0
             .update(&hands, busy, viewer.0, dt);
         pressed.write_batch(button.map(MenuPressed));
+        if let Some(surface) = menu.surface() {
+            point_at(targets, None, &surface, menu.touch());
+        }
         for hand in 0..2 {
             let has = menu.has(hand);
             busy[hand] |= has;
             taken[hand] |= has;
         }
     }
-    for (mut panel, transform) in &mut panels {
+    for (entity, mut panel, transform) in &mut panels {
         let surface = Surface {
             pose: transform.to_isometry(),
             half_size: panel.half_size,
         };
         let panel = panel.bypass_change_detection();
         panel.touch = panel.touching.update(&hands, busy, &surface);
+        point_at(targets, Some(entity), &surface, panel.touch);
         if let Some(hand) = panel.touch.hand {
             busy[hand] = true;
             taken[hand] = true;
@@ -166,6 +193,23 @@ fn press(
     }
 }
 
+fn point_at(
+    targets: &mut [Option<HandTarget>; 2],
+    entity: Option<Entity>,
+    surface: &Surface,
+    touch: SurfaceTouch,
+) {
+    if let Some(hand) = touch.hand {
+        targets[hand] = Some(HandTarget {
+            entity,
+            handle: None,
+            is_held: touch.is_pressed,
+            is_near: touch.is_near,
+            place: surface.point(touch.place),
+        });
+    }
+}
+
 /// Where hands are that take nothing.
 const AWAY: Vec3 = Vec3::new(0.0, -1e6, 0.0);
 
@@ -173,6 +217,7 @@ fn follow_hands(
     time: Res<Time>,
     hands: Res<FreeHands>,
     mut interaction: ResMut<CurrentInteraction>,
+    mut targets: ResMut<HandTargets>,
     mut graspables: Query<(Entity, &Graspable, &Aabb, &mut Transform), Without<ChildOf>>,
     mut former: Local<Vec<Entity>>,
     mut things: Local<Vec<Grabbable>>,
@@ -201,6 +246,21 @@ fn follow_hands(
     interaction
         .bypass_change_detection()
         .update(&hands.0, &mut things, time.delta_secs());
+    for (index, target) in targets.bypass_change_detection().0.iter_mut().enumerate() {
+        let hand = &hands.0.0[index];
+        let grip = interaction.grip(index);
+        if let Some(reached) = grip.or_else(|| Interaction::hovered(hand, &things))
+            && let Some(pose) = pose_of(hand, reached.far)
+        {
+            *target = Some(HandTarget {
+                entity: former.get(reached.thing).copied(),
+                handle: reached.handle,
+                is_held: grip.is_some(),
+                is_near: reached.far.is_none(),
+                place: pose.translation.into(),
+            });
+        }
+    }
     for (entity, thing) in former.iter().zip(things.iter()) {
         let Ok((_, _, aabb, mut transform)) = graspables.get_mut(*entity) else {
             continue;

@@ -37,6 +37,12 @@ impl Surface {
         (0.5 + 0.5 * place).clamp(Vec2::ZERO, Vec2::ONE)
     }
 
+    /// In the world: (0, 0) is top left, (1, 1) bottom right.
+    pub fn point(&self, place: Vec2) -> Vec3 {
+        let local = self.half_size * Vec2::new(2.0 * place.x - 1.0, 1.0 - 2.0 * place.y);
+        self.pose * local.extend(0.0)
+    }
+
     fn holds(&self, local: Vec3, margin: f32) -> bool {
         local.x.abs() <= self.half_size.x + margin && local.y.abs() <= self.half_size.y + margin
     }
@@ -49,6 +55,8 @@ pub struct SurfaceTouch {
     pub hand: Option<usize>,
     /// Where: (0, 0) top left, (1, 1) bottom right; stays within while it is pressed.
     pub place: Vec2,
+    /// Whether by a fingertip, not by its ray.
+    pub is_near: bool,
     /// Whether it is pressed.
     pub is_pressed: bool,
     /// Since this frame.
@@ -105,6 +113,7 @@ impl Touching {
             touch = SurfaceTouch {
                 hand: Some(hand),
                 place: self.place,
+                is_near: by_finger,
                 is_pressed: goes_on,
                 just_pressed: false,
                 just_released: !goes_on,
@@ -134,6 +143,7 @@ impl Touching {
                 touch = SurfaceTouch {
                     hand: Some(hand),
                     place,
+                    is_near: height.is_some(),
                     is_pressed: presses,
                     just_pressed: presses,
                     just_released: false,

@@ -245,7 +245,8 @@ fn a_corner_scales_about_the_opposite_one() {
     let corner = Vec3::splat(0.1);
     interaction.update(&left(hand(corner, 0.0)), &mut things, DT);
     let hovered = Interaction::hovered(&hand(corner, 0.0), &things);
-    assert_eq!(hovered, Some((0, Some(Handle::Corner(7)))));
+    let hovered = hovered.map(|reached| (reached.thing, reached.handle, reached.far));
+    assert_eq!(hovered, Some((0, Some(Handle::Corner(7)), None)));
     interaction.update(&left(hand(corner, 1.0)), &mut things, DT);
     // The diagonal from the opposite corner becomes three times as long.
     let pulled = -corner + 3.0 * (2.0 * corner);

@@ -277,15 +277,3 @@ fn joints(
     let locations = space.locate_hand_joints(tracker, time).ok()??;
     Some(locations.map(|joint| isometry(joint.location_flags, &joint.pose)))
 }
-
-impl Hands {
-    /// From tracking space to the world.
-    pub(crate) fn moved(self, world_from_tracking: Isometry3d) -> Self {
-        Self(self.0.map(|hand| Hand {
-            grip: hand.grip.map(|grip| world_from_tracking * grip),
-            aim: hand.aim.map(|aim| world_from_tracking * aim),
-            poke: hand.poke.map(|poke| world_from_tracking * poke),
-            ..hand
-        }))
-    }
-}

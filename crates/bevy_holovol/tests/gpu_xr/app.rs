@@ -10,6 +10,7 @@ use bevy::prelude::*;
 use bevy::window::ExitCondition;
 use bevy::winit::WinitPlugin;
 use bevy_holovol::VolumeStatistics;
+use bevy_holovol::interaction::InteractionMarksPlugin;
 use bevy_holovol::prelude::*;
 use bevy_holovol::xr::{
     CapturedFrame, EyeCapture, EyeView, Headset, HeadsetState, HeadsetStatus, MixedRealitySettings,
@@ -36,7 +37,8 @@ pub fn app(settings: MixedRealitySettings) -> App {
                 .disable::<WinitPlugin>(),
         ),
     );
-    app.add_plugins(HolovolPlugins);
+    // Without hands its marks cost nothing.
+    app.add_plugins((HolovolPlugins, InteractionMarksPlugin));
     app.insert_resource(settings);
     app.insert_resource(ClearColor(Color::BLACK));
     app.insert_resource(VolumeEnvironment {

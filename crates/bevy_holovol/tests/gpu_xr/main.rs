@@ -6,6 +6,7 @@
 mod allocations;
 mod app;
 mod depth;
+mod hands;
 mod pictures;
 mod sessions;
 mod sight;
@@ -39,7 +40,14 @@ fn main() {
         eprintln!("{error}");
     }
     let missing = missing.map(|error| error.to_string());
-    let tests: Vec<Test> = [sessions::TESTS, pictures::TESTS, depth::TESTS, sight::TESTS].concat();
+    let tests: Vec<Test> = [
+        sessions::TESTS,
+        pictures::TESTS,
+        depth::TESTS,
+        sight::TESTS,
+        hands::TESTS,
+    ]
+    .concat();
     let trials = tests.into_iter().map(|(name, body)| {
         let missing = missing.clone();
         Trial::test(name, move || {

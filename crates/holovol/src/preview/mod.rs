@@ -1,27 +1,29 @@
 //! `holovol preview`: a window in which scans are looked at.
 
 mod camera;
-mod lights;
-mod look;
+pub(crate) mod lights;
+pub(crate) mod look;
 mod measure;
-mod open;
+pub(crate) mod open;
 mod overlay;
 mod panel;
 mod pictures;
 mod pointer;
-mod presets;
+pub(crate) mod presets;
 mod quality;
 mod recovery;
 mod scene_io;
-mod settings;
+pub(crate) mod settings;
 mod slice_views;
 mod slices;
-mod studio;
+pub(crate) mod studio;
 #[cfg(test)]
 mod tests;
 mod transfer;
 
 use std::path::PathBuf;
+#[cfg(feature = "xr")]
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use bevy::app::PluginGroupBuilder;
@@ -153,6 +155,62 @@ pub(crate) fn app(
         .add_systems(Startup, setup)
         .add_systems(Last, (title, keep_drawing, end_after_frames));
     app
+}
+
+/// Shows files as the window does, in an app without one: a volume, its matter and its light, but no
+/// camera.
+#[cfg(feature = "xr")]
+pub(crate) fn add_studio(app: &mut App, files: &[PathBuf]) {
+    app.insert_resource(FirstFiles(files.to_vec()))
+        // Neither read nor written down: nobody sees them.
+        .insert_resource(settings::Settings::default())
+        .init_resource::<Refused>()
+        .add_plugins((open::OpenPlugin, studio::StudioPlugin))
+        .add_systems(Startup, |mut commands: Commands| {
+            let volume = commands.spawn(Volume3d::default()).id();
+            commands.insert_resource(Session {
+                volume,
+                camera: Entity::PLACEHOLDER,
+                name: String::new(),
+                status: None,
+                frames_left: None,
+            });
+        })
+        .add_systems(Update, tell);
+}
+
+/// Why a file that was named isn't shown, where there is no window to say so.
+#[cfg(feature = "xr")]
+#[derive(Resource, Clone, Default)]
+pub(crate) struct Refused(pub(crate) Arc<Mutex<Option<String>>>);
+
+/// What the window would say goes to the terminal; what can't be opened ends the app.
+#[cfg(feature = "xr")]
+fn tell(
+    mut session: ResMut<Session>,
+    opening: Res<open::Opening>,
+    refused: Res<Refused>,
+    mut exit: MessageWriter<AppExit>,
+) {
+    let problem = match (session.status.take(), &opening.choosing) {
+        (Some(Status::Failed(problem)), _) => problem,
+        (_, Some(choosing)) => {
+            let path = choosing.path.display();
+            let line = |(i, content): (usize, &holovol_volume::Content)| {
+                format!("\n  {}: {} {}", i + 1, content.name, content.description)
+            };
+            let lines = choosing.contents.iter().enumerate().map(line);
+            format!(
+                "{path} holds several {}; `holovol convert` with --choice makes a file of one:{}",
+                choosing.what,
+                lines.collect::<String>()
+            )
+        }
+        (Some(Status::Done(text)), None) => return eprintln!("{text}"),
+        (None, None) => return,
+    };
+    *refused.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(problem);
+    exit.write(AppExit::from_code(Exit::Input as u8));
 }
 
 /// Whether windows can be opened; elsewhere than on Unix they always can.

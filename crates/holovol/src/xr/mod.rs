@@ -1,25 +1,33 @@
 //! `holovol xr`: scans in the user's room.
 //!
 //! Where there is a display, the preview's window stays beside the headset: same volume, same panel,
-//! a view of its own. Without one the headset is all there is.
+//! a view of its own. Without one the headset is all there is. In the room there are a menu at the
+//! hand and a panel.
 
-mod contents;
+mod actions;
+mod hands;
+mod live;
+mod panel;
 mod picture;
 mod place;
 
 use std::time::Duration;
 
 use bevy::app::{PluginGroupBuilder, ScheduleRunnerPlugin};
+use bevy::camera::Exposure;
 use bevy::log::LogPlugin;
 use bevy::prelude::*;
 use bevy::window::{ExitCondition, PresentMode};
 use bevy::winit::{WinitPlugin, WinitSettings};
+use bevy_egui::{EguiGlobalSettings, EguiPlugin};
+use bevy_holovol::interaction::HandRecording;
 use bevy_holovol::prelude::*;
 use bevy_holovol::xr::{
-    Headset, HeadsetBlend, HeadsetRequest, MixedRealitySettings, SimulatedHeadset,
+    EyeCamera, Headset, HeadsetBlend, HeadsetRequest, MixedRealitySettings, SimulatedHeadset,
 };
 
 use crate::cli::{PreviewArgs, XrArgs, XrBlend};
+use crate::preview::studio::Studio;
 use crate::{Exit, Failure, preview};
 
 /// Shows scans in a headset until its session ends.
@@ -30,6 +38,11 @@ pub(crate) fn run(args: &XrArgs) -> Result<(), Failure> {
         Some(started.map_err(|error| Failure::new(Exit::NoHeadset, error.to_string()))?)
     } else {
         None
+    };
+    // With threads, no headset could be simulated any more.
+    let wanted = Wanted {
+        camera: args.camera.as_deref().map(live::Source::find).transpose()?,
+        hands: args.hands.as_deref().map(hands::read).transpose()?,
     };
     let headset = match Headset::connect("holovol") {
         Ok(headset) => headset,
@@ -49,9 +62,10 @@ pub(crate) fn run(args: &XrArgs) -> Result<(), Failure> {
     };
     eprintln!("{} on {}", headset.system_name(), headset.runtime());
     let has_window = preview::has_display() && args.out.is_none() && !args.no_window;
+    let refused = preview::Refused::default();
     let exit = if has_window {
         let mut app = preview::app(&args.preview(), |plugins| headset.plugins(plugins));
-        join(&mut app, args);
+        join(&mut app, args, wanted);
         // The headset paces frames, not the window.
         app.insert_resource(WinitSettings::continuous())
             .add_systems(Startup, |mut windows: Query<&mut Window>| {
@@ -61,12 +75,17 @@ pub(crate) fn run(args: &XrArgs) -> Result<(), Failure> {
             })
             .run()
     } else {
-        let contents = contents::Contents::read(&args.files)?;
-        let mut app = without_window(contents, |plugins| headset.plugins(plugins));
-        join(&mut app, args);
+        let mut app = without_window(|plugins| headset.plugins(plugins));
+        app.insert_resource(refused.clone());
+        preview::add_studio(&mut app, &args.files);
+        join(&mut app, args, wanted);
         app.run()
     };
     drop(simulation);
+    let refused = refused.0.lock().ok().and_then(|mut refused| refused.take());
+    if let Some(problem) = refused {
+        return Err(Failure::new(Exit::Input, problem));
+    }
     match exit {
         AppExit::Success => Ok(()),
         AppExit::Error(code) if i32::from(code.get()) == Exit::Interrupted as i32 => {
@@ -90,8 +109,14 @@ impl XrArgs {
     }
 }
 
+/// What is read before the headset is looked for.
+struct Wanted {
+    camera: Option<live::Source>,
+    hands: Option<HandRecording>,
+}
+
 /// What an app in a headset has besides its volume.
-fn join(app: &mut App, args: &XrArgs) {
+fn join(app: &mut App, args: &XrArgs, wanted: Wanted) {
     app.insert_resource(MixedRealitySettings {
         render: VolumeRenderSettings {
             mode: VolumeRenderMode::Denoised,
@@ -109,8 +134,24 @@ fn join(app: &mut App, args: &XrArgs) {
         ..default()
     })
     .insert_resource(Ending(args.frames))
-    .add_plugins(place::PlacePlugin)
+    .add_plugins((
+        place::PlacePlugin,
+        actions::ActionPlugin,
+        panel::RoomPanelPlugin {
+            is_open: args.panel,
+        },
+    ))
+    .add_systems(Update, follow_look)
     .add_systems(Last, end_after_frames);
+    if let Some(source) = wanted.camera {
+        app.add_plugins(live::CameraPlugin {
+            source,
+            turn: args.camera_turn.to_radians(),
+        });
+    }
+    if let Some(recording) = wanted.hands {
+        app.add_plugins(hands::PlayPlugin(recording));
+    }
     // Simulated heads have seen enough after one picture.
     if let Some(out) = args.picture_prefix() {
         app.insert_resource(picture::Wanted::new(out, args.frames.unwrap_or(30)))
@@ -127,10 +168,25 @@ impl XrArgs {
     }
 }
 
-fn without_window(
-    contents: contents::Contents,
-    on_headset: impl FnOnce(PluginGroupBuilder) -> PluginGroupBuilder,
-) -> App {
+/// What of the look belongs to cameras, for the eyes.
+fn follow_look(
+    mut commands: Commands,
+    studio: Res<Studio>,
+    mut eyes: Query<(Entity, &mut VolumeRenderSettings, Option<&Exposure>), With<EyeCamera>>,
+) {
+    let look = &studio.look;
+    let wanted = look.exposure();
+    for (eye, mut settings, exposure) in &mut eyes {
+        if settings.max_scatters != look.max_scatters {
+            settings.max_scatters = look.max_scatters;
+        }
+        if exposure.map(|exposure| exposure.ev100) != Some(wanted.ev100) {
+            commands.entity(eye).insert(wanted);
+        }
+    }
+}
+
+fn without_window(on_headset: impl FnOnce(PluginGroupBuilder) -> PluginGroupBuilder) -> App {
     let plugins = DefaultPlugins
         .build()
         .set(WindowPlugin {
@@ -148,10 +204,14 @@ fn without_window(
         on_headset(plugins),
         // The headset paces frames.
         ScheduleRunnerPlugin::run_loop(Duration::ZERO),
+        EguiPlugin::default(),
         HolovolPlugins,
-    ));
-    app.insert_resource(contents)
-        .add_systems(Startup, contents::spawn);
+    ))
+    // Only the panel in the room has one.
+    .insert_resource(EguiGlobalSettings {
+        auto_create_primary_context: false,
+        ..default()
+    });
     app
 }
 

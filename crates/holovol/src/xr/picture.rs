@@ -4,8 +4,11 @@ use std::path::{Path, PathBuf};
 
 use bevy::prelude::*;
 use bevy_holovol::VolumeStatistics;
+use bevy_holovol::prelude::LiveLight;
 use bevy_holovol::xr::{CapturedFrame, EyeCapture, HeadsetBlend, HeadsetRequest, HeadsetStatus};
 use image::{DynamicImage, RgbaImage};
+
+use crate::preview::open::Opening;
 
 /// Pictures that are still to be taken.
 #[derive(Resource)]
@@ -27,10 +30,13 @@ impl Wanted {
 }
 
 /// Takes them when everything is seen, and ends the session.
+#[expect(clippy::too_many_arguments, reason = "all that has to be ready")]
 pub(super) fn take(
     mut commands: Commands,
     wanted: Option<ResMut<Wanted>>,
     statistics: Res<VolumeStatistics>,
+    opening: Res<Opening>,
+    live: Option<Res<LiveLight>>,
     status: Res<HeadsetStatus>,
     capture: Res<EyeCapture>,
     mut requests: MessageWriter<HeadsetRequest>,
@@ -40,7 +46,9 @@ pub(super) fn take(
     };
     let statistics = statistics.get();
     if !wanted.is_requested {
-        if statistics.dispatches > 0 && !statistics.is_waiting && status.is_tracked {
+        let is_lit = live.is_none_or(|live| live.uploads > 0);
+        let is_traced = statistics.dispatches > 0 && !statistics.is_waiting;
+        if is_traced && is_lit && status.is_tracked && !opening.is_busy() {
             wanted.frames = wanted.frames.saturating_sub(1);
         }
         if wanted.frames == 0 {
