@@ -44,9 +44,9 @@ const STATE: u64 = 5;
 const KEYS: u64 = 3;
 const COUNTS: u64 = 3;
 const TILES: u64 = 7 + 3 * TILE as u64;
-/// A change of light T leaves at most this · (1 − T)/T frames: 0.28 frames of 0.85. More would be
+/// A change of light T leaves at most this · (1 − T)/T frames: 0.21 frames of 0.85. More would be
 /// seen as a ghost.
-const KEPT_FRAMES: f32 = 1.6;
+const KEPT_FRAMES: f32 = 1.2;
 /// What an edit of the medium counts for.
 const EDIT: f32 = 0.85;
 
@@ -313,6 +313,9 @@ impl Denoiser {
             };
             eye.previous = previous.unwrap_or_default();
             eye.set_turn(moved);
+            if let Some(before) = before.get(i) {
+                eye.set_before(&image.view, before, moved);
+            }
             if let Some(other) = images.get(1 - i.min(1)).filter(|_| images.len() == 2) {
                 let other = projection(&image.view, &other.view, DMat4::IDENTITY);
                 // A place at depth 0 is nowhere.

@@ -30,6 +30,7 @@ impl Passes {
             "judge",
             "blend",
             "stereo",
+            "prefilter",
             "gather",
         ]
     }

@@ -16,6 +16,7 @@ use crate::{Gpu, RenderError, View};
 /// Light is what radiance is per albedo, kept away from division by none.
 const ALBEDO_FLOOR: f32 = 0.5;
 const LARGEST: f32 = 1e15;
+const SAMPLES_PER_FRAME: f32 = 2.0;
 
 /// What happened to the eyes since the last frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -171,6 +172,10 @@ impl Memory {
         3 * self.pixels() + pixel
     }
 
+    fn near_place(&self, pixel: usize) -> usize {
+        4 * self.pixels() + pixel
+    }
+
     fn both(&self, pixel: usize) -> usize {
         2 * self.pixels() + pixel
     }
@@ -280,6 +285,7 @@ impl Memory {
             eye.previous = projection(&views[i], &last, moved).unwrap_or_default();
             eye.other = projection(&views[i], &views[1 - i], DMat4::IDENTITY).unwrap_or_default();
             eye.set_turn(moved);
+            eye.set_before(&views[i], &last, moved);
             let across = size.x.div_ceil(TILE);
             // Not in the order in which the denoiser has them.
             let first = if i == 0 {
@@ -288,7 +294,7 @@ impl Memory {
                 0
             };
             eye.image = [size.x, size.y, first, pixels];
-            eye.frame = [2, history as u32, tiles, across];
+            eye.frame = [[2, 5][i], history as u32, tiles, across];
             eye.history = [24.0, 1.0, light_change, [1.0, 0.0][i]];
             let first_before = [0, sizes_before[0].element_product()][i];
             eye.place = [0, sizes_before[i].x, sizes_before[i].y, first_before];
@@ -372,6 +378,7 @@ impl Memory {
             "judge" => self.judge(),
             "blend" => self.blend(),
             "stereo" => self.stereo(),
+            "prefilter" => self.prefilter(),
             "gather" => self.gather(),
             _ => panic!("there is no pass {pass}"),
         }
