@@ -68,8 +68,7 @@ const SAMPLES_PER_FRAME: f32 = 2.0;
 
 @group(0) @binding(16) var<uniform> denoise: Denoise;
 // Per pixel: a half for this frame and one for the last of what is kept: light, and opacity less the
-// guide's (in the paper's mode radiance and opacity); then
-// albedo * opacity with opacity; then two that the passes hand on.
+// guide's (in the paper's mode radiance and opacity).
 @group(0) @binding(17) var<storage, read_write> state: array<vec4<f32>>;
 // Per pixel: two halves of guides, see Key; then guides with the frames of both eyes.
 @group(0) @binding(18) var<storage, read_write> keys: array<vec4<u32>>;
@@ -80,12 +79,16 @@ const SAMPLES_PER_FRAME: f32 = 2.0;
 // Two sums per pixel, as the tracer leaves them.
 @group(0) @binding(21) var<storage, read> noisy: array<vec4<f32>>;
 @group(0) @binding(22) var<storage, read_write> output: array<vec4<f32>>;
+// Per pixel, of this frame alone: albedo * opacity with opacity; then two that the passes hand on. Not
+// with what is kept, so that no binding holds more than 48 bytes of a pixel: two eyes of a headset
+// fit the 128 MiB that every device binds.
+@group(0) @binding(23) var<storage, read_write> lights: array<vec4<f32>>;
 
 fn half_now() -> u32 { return denoise.halves.x * denoise.counts.y; }
 fn half_before() -> u32 { return denoise.halves.y * denoise.counts.y; }
-fn albedo_at(pixel: u32) -> u32 { return 2u * denoise.counts.y + pixel; }
-fn scratch_at(pixel: u32) -> u32 { return 3u * denoise.counts.y + pixel; }
-fn near_at(pixel: u32) -> u32 { return 4u * denoise.counts.y + pixel; }
+fn albedo_at(pixel: u32) -> u32 { return pixel; }
+fn scratch_at(pixel: u32) -> u32 { return denoise.counts.y + pixel; }
+fn near_at(pixel: u32) -> u32 { return 2u * denoise.counts.y + pixel; }
 fn both_at(pixel: u32) -> u32 { return 2u * denoise.counts.y + pixel; }
 
 struct Key {

@@ -10,7 +10,7 @@ use holovol_scene::Camera;
 
 use super::passes::Passes;
 use super::uniforms::{DenoiseUniform, EyeUniform, History, projection};
-use super::{COUNTS, DenoiseMode, DenoiseSettings, KEYS, STATE, TILE, TILES};
+use super::{COUNTS, DenoiseMode, DenoiseSettings, KEYS, LIGHTS, STATE, TILE, TILES};
 use crate::{Gpu, RenderError, View};
 
 /// Light is what radiance is per albedo, kept away from division by none.
@@ -35,6 +35,7 @@ pub struct Memory {
     mode: DenoiseMode,
     radius: u32,
     uniform: DenoiseUniform,
+    /// The kernels' `state`, then their `lights`.
     state: Vec<Vec4>,
     keys: Vec<[u32; 4]>,
     counts: Vec<Vec2>,
@@ -325,7 +326,7 @@ impl Memory {
         let keys = (0..KEYS as usize * count)
             .map(|_| key(four(0.0, 1.0), four(-1.0, 1.0)))
             .collect();
-        let state = (0..STATE as usize * count)
+        let state = (0..(STATE + LIGHTS) as usize * count)
             .map(|_| four(0.0, 1.0))
             .collect();
         let counts = (0..COUNTS as usize * count)
@@ -391,14 +392,16 @@ impl Memory {
     pub fn run_kernel(&mut self, gpu: &Gpu, pass: &'static str) -> Result<(), RenderError> {
         let passes = Passes::new(gpu, self.is_paper(), self.radius, Some(pass))?;
         let sizes = [0, 1].map(|eye| self.size(eye).to_array());
-        let contents: [&[u8]; 7] = [
+        let (state, lights) = self.state.split_at(STATE as usize * self.pixels());
+        let contents: [&[u8]; 8] = [
             bytemuck::bytes_of(&self.uniform),
-            &bytes(&self.state, |v| v.to_array()),
+            &bytes(state, |v| v.to_array()),
             bytemuck::cast_slice(&self.keys),
             &bytes(&self.counts, |v| v.to_array()),
             &bytes(&self.tiles, |v| v.to_array()),
             &bytes(&self.noisy, |v| v.to_array()),
             &bytes(&self.output, |v| v.to_array()),
+            &bytes(lights, |v| v.to_array()),
         ];
         let buffers = gpu.scoped("a pass", 0, || {
             let mut usage = wgpu::BufferUsages::UNIFORM;
@@ -413,6 +416,7 @@ impl Memory {
         gpu.queue.submit([encoder.finish()]);
         let read = |i: usize| gpu.read_buffer("a pass", &buffers[i], buffers[i].size());
         self.state = vectors(&read(1)?, Vec4::from_array);
+        self.state.extend(vectors(&read(7)?, Vec4::from_array));
         self.keys = vectors(&read(2)?, |v| v);
         self.counts = vectors(&read(3)?, Vec2::from_array);
         self.tiles = vectors(&read(4)?, Vec4::from_array);

@@ -1,7 +1,7 @@
 // The denoiser's own mode, pass by pass; docs/denoising.md explains it.
 
 #import holovol_render::denoise::common::{
-    denoise, state, keys, counts, tiles, noisy, output, Key, unpack_key, with_frames,
+    denoise, state, lights, keys, counts, tiles, noisy, output, Key, unpack_key, with_frames,
     guide_distance, half_now, half_before, albedo_at, scratch_at, near_at, both_at, tile_at, tile_sums,
     tile_memory, tile_result, tile_rows, mean_rgb, all_finite, HISTORY_MOVED, HISTORY_SAME,
     HISTORY_NONE, ALBEDO_FLOOR, LARGEST, TILE, SAMPLES_PER_FRAME,
@@ -132,11 +132,11 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
         let position = vec2<u32>(x, row.y);
         let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
         let before = history_of(eye, position, pixel);
-        state[scratch_at(pixel)] = before.light;
+        lights[scratch_at(pixel)] = before.light;
         counts[both_at(pixel)] = vec2<f32>(before.frames, before.filtered);
         let is_met = bitcast<f32>(keys[half_now() + pixel].x) > 0.0;
         for (var once = is_met && before.frames > 0.0; once; once = false) {
-            let guide = state[albedo_at(pixel)];
+            let guide = lights[albedo_at(pixel)];
             let scale = guide.rgb + ALBEDO_FLOOR;
             let light = new_light(eye, pixel, guide);
             let old = before.light.rgb * scale;
@@ -282,8 +282,8 @@ fn blend(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         return;
     }
     let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
-    let light = new_light(eye, pixel, state[albedo_at(pixel)]);
-    var old = state[scratch_at(pixel)];
+    let light = new_light(eye, pixel, lights[albedo_at(pixel)]);
+    var old = lights[scratch_at(pixel)];
     let count = counts[both_at(pixel)];
     var frames = count.x;
     for (var once = denoise.eyes[eye].frame.y == HISTORY_MOVED && frames > 0.0; once; once = false) {
@@ -334,7 +334,7 @@ fn stereo(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
             frames += worth;
         }
     }
-    state[scratch_at(pixel)] = light;
+    lights[scratch_at(pixel)] = light;
     keys[both_at(pixel)] = with_frames(words, frames);
 }
 
@@ -377,7 +377,7 @@ fn prefilter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
                 let bias = guide_distance(key, there, pixel_size);
                 let fits = 1.0 / (1.0 + bias * there.frames * inverse_noise);
                 let w = fits * fits * there.frames;
-                let light = min(mean_rgb(state[scratch_at(at)].rgb), BRIGHTEST);
+                let light = min(mean_rgb(lights[scratch_at(at)].rgb), BRIGHTEST);
                 sums += w * vec2<f32>(1.0, light);
                 squares += w * w * vec3<f32>(1.0, light, light * light);
             }
@@ -387,7 +387,7 @@ fn prefilter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
         let spread = squares.z - 2.0 * mean * squares.y + mean * mean * squares.x;
         near = vec4<f32>(mean, max(spread, 0.0) / (total * total), total, 0.0);
     }
-    state[near_at(pixel)] = near;
+    lights[near_at(pixel)] = near;
 }
 
 // Of two such means (mean, variance, frames).
@@ -411,7 +411,7 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
     let first = denoise.eyes[eye].image.w;
     let pixel = first + position.x + size.x * position.y;
     let own = state[half_now() + pixel];
-    let albedo = state[albedo_at(pixel)];
+    let albedo = lights[albedo_at(pixel)];
     let scale = albedo.rgb + ALBEDO_FLOOR;
     let words = keys[both_at(pixel)];
     var result = own;
@@ -422,7 +422,7 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
         let tile = tile_at(eye, position, 1u);
         let own_frames = counts[half_now() + pixel].x;
         let centre = max(key.frames, 0.5);
-        var light = centre * state[scratch_at(pixel)];
+        var light = centre * lights[scratch_at(pixel)];
         var total = centre;
         let low = max(vec2<i32>(position) - RADIUS, vec2<i32>(0));
         let high = min(vec2<i32>(position) + RADIUS, vec2<i32>(size) - 1);
@@ -430,7 +430,7 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
         let moves = denoise.eyes[eye].frame.y != HISTORY_SAME;
         let narrower = select(1.0, clamp(pays * pays, NARROWER.x, NARROWER.y), moves) / tile.y;
         let guide = counts[both_at(pixel)];
-        let near = state[near_at(pixel)];
+        let near = lights[near_at(pixel)];
         for (var y = low.y; y <= high.y; y += 1) {
             // Corners are cut: an octagon.
             let reach = RADIUS - max(0, abs(y - i32(position.y)) - RADIUS / 2);
@@ -443,11 +443,11 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
                 let r2 = dot(offset, offset);
                 let bias = guide_distance(key, there, pixel_size) + denoise.bias.x * r2
                     + light_distance(guide, counts[both_at(at)], tile.y)
-                    + near_distance(near, state[near_at(at)], tile.y);
+                    + near_distance(near, lights[near_at(at)], tile.y);
                 let fits = 1.0 / (1.0 + bias * there.frames * narrower);
                 let w = select(0.0, fits * fits * there.frames, r2 > 0.0);
                 total += w;
-                light += w * state[scratch_at(at)];
+                light += w * lights[scratch_at(at)];
             }
         }
         filtered = light / total;
