@@ -3,7 +3,7 @@
 use wgpu::BufferUsages as Usage;
 
 use super::uniforms::DenoiseUniform;
-use super::{COUNTS, KEYS, STATE, TILE, TILES};
+use super::{COUNTS, KEYS, LIGHTS, STATE, TILE, TILES};
 use crate::{Gpu, RenderError};
 
 pub(super) struct Buffers {
@@ -13,6 +13,7 @@ pub(super) struct Buffers {
     pub(super) room: [u32; 2],
     pub(super) uniform: wgpu::Buffer,
     pub(super) state: wgpu::Buffer,
+    pub(super) lights: wgpu::Buffer,
     pub(super) keys: wgpu::Buffer,
     pub(super) counts: wgpu::Buffer,
     pub(super) tiles: wgpu::Buffer,
@@ -30,11 +31,11 @@ impl Buffers {
         let limit = limits
             .max_storage_buffer_binding_size
             .min(limits.max_buffer_size);
-        let is_too_much = |sizes| 16 * STATE * count(sizes, 1) > limit;
+        let is_too_much = |sizes| 16 * STATE.max(LIGHTS).max(KEYS) * count(sizes, 1) > limit;
         // Of rooms that are too large the part that is used now.
         let rooms = if is_too_much(rooms) { sizes } else { rooms };
         let [pixels, tiles] = [1, TILE].map(|side| count(sizes, side).max(count(rooms, side)));
-        let bytes = pixels * (16 * (STATE + KEYS + 1) + 8 * COUNTS) + 16 * TILES * tiles;
+        let bytes = pixels * (16 * (STATE + LIGHTS + KEYS + 1) + 8 * COUNTS) + 16 * TILES * tiles;
         if is_too_much(sizes) {
             return Err(RenderError::OutOfMemory {
                 what: "denoising".into(),
@@ -52,6 +53,7 @@ impl Buffers {
                     Usage::UNIFORM | Usage::COPY_DST,
                 ),
                 state: gpu.empty("holovol denoise state", 16 * STATE * pixels, usage),
+                lights: gpu.empty("holovol denoise lights", 16 * LIGHTS * pixels, usage),
                 keys: gpu.empty("holovol denoise keys", 16 * KEYS * pixels, usage),
                 counts: gpu.empty("holovol denoise counts", 8 * COUNTS * pixels, usage),
                 tiles: gpu.empty("holovol denoise tiles", 16 * TILES * tiles, usage),

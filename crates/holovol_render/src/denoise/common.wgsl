@@ -29,6 +29,8 @@ struct Eye {
     // x: which of the tracer's views it is; yzw: pixels across and down of the last frame, and its
     // first pixel there.
     place: vec4<u32>,
+    // Where the last frame's eye stood, seen from this one, the volume held still; w: unused.
+    before: vec4<f32>,
 }
 
 struct Denoise {
@@ -46,7 +48,9 @@ struct Denoise {
     // x: gain of the tiles' correction, y: how much a correction shortens the history,
     // z: what radiance counts as dark, squared; w: memory of the filter's weight, per frame.
     tiles: vec4<f32>,
-    // x: bias of light that differs in the last frame's filtered image; yzw: unused.
+    // Bias of light that differs x: in the last frame's filtered image, y: in this frame's own;
+    // z: factor on what guides of the last frame must agree, per radian that a place has turned;
+    // w: unused.
     edges: vec4<f32>,
 }
 
@@ -59,25 +63,32 @@ const ALBEDO_FLOOR: f32 = 0.5;
 // Beyond this, squares of light would leave f32.
 const LARGEST: f32 = 1e15;
 const TILE: u32 = 8u;
+// What "frames" are counted in: a frame of four samples is worth two.
+const SAMPLES_PER_FRAME: f32 = 2.0;
 
 @group(0) @binding(16) var<uniform> denoise: Denoise;
 // Per pixel: a half for this frame and one for the last of what is kept: light, and opacity less the
-// guide's (in the paper's mode radiance and opacity); then
-// albedo * opacity with opacity; then what the passes hand on.
+// guide's (in the paper's mode radiance and opacity).
 @group(0) @binding(17) var<storage, read_write> state: array<vec4<f32>>;
 // Per pixel: two halves of guides, see Key; then guides with the frames of both eyes.
 @group(0) @binding(18) var<storage, read_write> keys: array<vec4<u32>>;
 // Per pixel: two halves of (frames, filtered light); then (frames, filtered light) of the history.
+// A frame is one of two samples: SAMPLES_PER_FRAME.
 @group(0) @binding(19) var<storage, read_write> counts: array<vec2<f32>>;
 @group(0) @binding(20) var<storage, read_write> tiles: array<vec4<f32>>;
 // Two sums per pixel, as the tracer leaves them.
 @group(0) @binding(21) var<storage, read> noisy: array<vec4<f32>>;
 @group(0) @binding(22) var<storage, read_write> output: array<vec4<f32>>;
+// Per pixel, of this frame alone: albedo * opacity with opacity; then two that the passes hand on. Not
+// with what is kept, so that no binding holds more than 48 bytes of a pixel: two eyes of a headset
+// fit the 128 MiB that every device binds.
+@group(0) @binding(23) var<storage, read_write> lights: array<vec4<f32>>;
 
 fn half_now() -> u32 { return denoise.halves.x * denoise.counts.y; }
 fn half_before() -> u32 { return denoise.halves.y * denoise.counts.y; }
-fn albedo_at(pixel: u32) -> u32 { return 2u * denoise.counts.y + pixel; }
-fn scratch_at(pixel: u32) -> u32 { return 3u * denoise.counts.y + pixel; }
+fn albedo_at(pixel: u32) -> u32 { return pixel; }
+fn scratch_at(pixel: u32) -> u32 { return denoise.counts.y + pixel; }
+fn near_at(pixel: u32) -> u32 { return 2u * denoise.counts.y + pixel; }
 fn both_at(pixel: u32) -> u32 { return 2u * denoise.counts.y + pixel; }
 
 struct Key {

@@ -163,8 +163,8 @@ impl GuideKernel {
                 (14, uniform()),
                 (15, texture_2d_array(false)),
                 (16, uniform()),
-                (17, storage(false)),
                 (18, storage(false)),
+                (23, storage(false)),
             ],
         )?;
         let mut all = defs.clone();
@@ -174,14 +174,14 @@ impl GuideKernel {
         Ok(Self { layout, pipeline })
     }
 
-    /// Records the march over eyes of these sizes; buffers: uniform, state, keys.
+    /// Records the march over eyes of these sizes; buffers: uniform, lights, keys.
     pub(super) fn record(
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         matter: &Matter<'_>,
         sizes: &[[u32; 2]],
-        [uniform, state, keys]: [&wgpu::Buffer; 3],
+        [uniform, lights, keys]: [&wgpu::Buffer; 3],
     ) -> Result<(), RenderError> {
         let group = gpu.scoped("guides", 0, || {
             let resources = [
@@ -194,8 +194,8 @@ impl GuideKernel {
                 (14, matter.buffers.views.as_entire_binding()),
                 (15, Resource::TextureView(matter.mesh_depth)),
                 (16, uniform.as_entire_binding()),
-                (17, state.as_entire_binding()),
                 (18, keys.as_entire_binding()),
+                (23, lights.as_entire_binding()),
             ];
             gpu.numbered_group("holovol guides", &self.layout, resources)
         })?;

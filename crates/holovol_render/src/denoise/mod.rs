@@ -39,14 +39,16 @@ pub(crate) const GUIDES: ShaderFile = shader_file!("guides/guides.wgsl");
 const TILE: u32 = 8;
 /// Frames after which the filter's weight at rest has fallen to a half at most.
 const FADE_FRAMES: u32 = 512;
-/// Vectors of `state` per pixel, words of `keys` and pairs of `counts`; vectors of a tile.
-const STATE: u64 = 5;
+/// Vectors of `state` and of `lights` per pixel, words of `keys` and pairs of `counts`; vectors of a
+/// tile.
+const STATE: u64 = 2;
+const LIGHTS: u64 = 3;
 const KEYS: u64 = 3;
 const COUNTS: u64 = 3;
 const TILES: u64 = 7 + 3 * TILE as u64;
-/// A change of light T leaves at most this · (1 − T)/T frames: 0.28 frames of 0.85. More would be
+/// A change of light T leaves at most this · (1 − T)/T frames: 0.21 frames of 0.85. More would be
 /// seen as a ghost.
-const KEPT_FRAMES: f32 = 1.6;
+const KEPT_FRAMES: f32 = 1.2;
 /// What an edit of the medium counts for.
 const EDIT: f32 = 0.85;
 
@@ -220,7 +222,7 @@ impl Denoiser {
         if same {
             return Ok(());
         }
-        let written = [&buffers.uniform, &buffers.state, &buffers.keys];
+        let written = [&buffers.uniform, &buffers.lights, &buffers.keys];
         guides.record(&self.gpu, encoder, &tracer.matter(), &sizes, written)
     }
 
@@ -245,6 +247,7 @@ impl Denoiser {
             &buffers.tiles,
             tracer.accumulators(),
             &buffers.output,
+            &buffers.lights,
         ];
         passes.record(&self.gpu, encoder, &buffers.sizes, resources)
     }
@@ -313,6 +316,9 @@ impl Denoiser {
             };
             eye.previous = previous.unwrap_or_default();
             eye.set_turn(moved);
+            if let Some(before) = before.get(i) {
+                eye.set_before(&image.view, before, moved);
+            }
             if let Some(other) = images.get(1 - i.min(1)).filter(|_| images.len() == 2) {
                 let other = projection(&image.view, &other.view, DMat4::IDENTITY);
                 // A place at depth 0 is nowhere.
@@ -422,10 +428,9 @@ impl Denoiser {
         };
         let bytes = self
             .gpu
-            .read_buffer("the guides", &buffers.state, buffers.state.size())?;
-        let state: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
-        let pixels = state.len() / STATE as usize;
-        Ok(state[2 * pixels..2 * pixels + buffers.pixels()].to_vec())
+            .read_buffer("the guides", &buffers.lights, buffers.lights.size())?;
+        let lights: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
+        Ok(lights[..buffers.pixels()].to_vec())
     }
 }
 
@@ -505,6 +510,14 @@ mod tests {
     use holovol_volume::{TransferFunction, TransferPoint};
 
     use super::*;
+
+    #[test]
+    fn two_eyes_of_a_headset_fit_what_every_device_binds() {
+        let pixels = 2 * 1440 * 936;
+        let largest = (16 * STATE.max(LIGHTS).max(KEYS)).max(8 * COUNTS);
+        let limit = wgpu::Limits::default().max_storage_buffer_binding_size;
+        assert!(largest * pixels <= limit, "{largest} bytes of a pixel");
+    }
 
     #[test]
     fn planes_that_move_with_their_volume_are_no_edit() {

@@ -30,6 +30,7 @@ impl Passes {
             "judge",
             "blend",
             "stereo",
+            "prefilter",
             "gather",
         ]
     }
@@ -41,10 +42,11 @@ impl Passes {
         radius: u32,
         only: Option<&'static str>,
     ) -> Result<Self, RenderError> {
-        let types = [uniform()]
-            .into_iter()
-            .chain([storage(false); 4])
-            .chain([storage(true), storage(false)]);
+        let types = [uniform()].into_iter().chain([storage(false); 4]).chain([
+            storage(true),
+            storage(false),
+            storage(false),
+        ]);
         let types: Vec<_> = (16..).zip(types).collect();
         let layout = gpu.numbered_layout("holovol denoise", &types)?;
         let file = if paper { &PAPER } else { &HOLOVOL };
@@ -58,13 +60,13 @@ impl Passes {
     }
 
     /// Records them for eyes of these sizes. Buffers: uniform, state, keys, counts, tiles, samples,
-    /// output.
+    /// output, lights.
     pub(super) fn record(
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         sizes: &[[u32; 2]],
-        buffers: [&wgpu::Buffer; 7],
+        buffers: [&wgpu::Buffer; 8],
     ) -> Result<(), RenderError> {
         let group = gpu.scoped("denoising", 0, || {
             let resources = (16..).zip(buffers.map(|buffer| buffer.as_entire_binding()));

@@ -46,7 +46,7 @@ pub struct DenoiseSettings {
     pub mode: DenoiseMode,
     /// Pixels to each side of the last filter, 0 to 8.
     pub radius: u32,
-    /// Frames of history in motion, at most.
+    /// Frames (of two samples) of history in motion, at most.
     pub max_frames: f32,
     /// Bias expected of a pixel's distance.
     pub distance_bias: f32,
@@ -58,11 +58,16 @@ pub struct DenoiseSettings {
     pub opacity_bias: f32,
     /// Bias expected of light that differed as much in the last frame's filtered image.
     pub light_bias: f32,
+    /// Bias expected of light that differs as much in this frame's own, by more than its noise.
+    pub near_bias: f32,
     /// Bias expected of the other eye.
     pub eye_bias: f32,
     /// How much guides of the last frame, of the other eye, must agree.
     pub strictness: [f32; 2],
-    /// Relative variance of one frame's samples before it is measured.
+    /// Factor on the first of these for each radian by which the direction to a place has turned in
+    /// the volume's space; 1 at least.
+    pub turn_strictness: f32,
+    /// Relative variance of two samples before it is measured.
     pub first_variance: f32,
     /// Signal-to-noise (squared, less 1) of a lag at which half of it is corrected.
     pub correction: f32,
@@ -85,9 +90,11 @@ impl Default for DenoiseSettings {
             depth_bias: 0.003,
             opacity_bias: 0.12,
             light_bias: 4.0,
+            near_bias: 4.0,
             eye_bias: 0.003,
             strictness: [30.0, 60.0],
-            first_variance: 0.07,
+            turn_strictness: 95.0,
+            first_variance: 0.1,
             correction: 3.0,
             shortening: 1.0,
             dark: 0.1,
@@ -123,6 +130,6 @@ impl DenoiseSettings {
         let [frames, eyes] = self.strictness;
         uniform.across = [frames, eyes, self.eye_bias, self.first_variance];
         uniform.tiles = [self.correction, self.shortening, dark * dark, self.memory];
-        uniform.edges = [self.light_bias, 0.0, 0.0, 0.0];
+        uniform.edges = [self.light_bias, self.near_bias, self.turn_strictness, 0.0];
     }
 }

@@ -18,6 +18,7 @@ pub(super) struct EyeUniform {
     pub(super) frame: [u32; 4],
     pub(super) history: [f32; 4],
     pub(super) place: [u32; 4],
+    pub(super) before: [f32; 4],
 }
 
 #[repr(C)]
@@ -71,6 +72,18 @@ impl EyeUniform {
             turn: [row(DVec3::X, pixel), row(DVec3::Y, 0.0), row(DVec3::Z, 0.0)],
             ..Self::zeroed()
         }
+    }
+
+    /// Where the last frame's eye stood, seen from this one's as if the volume had not moved.
+    pub(super) fn set_before(&mut self, view: &View, before: &View, moved: DMat4) {
+        let place = moved.inverse().transform_point3(before.origin) - view.origin;
+        // What can't be moved back has no history either.
+        let place = if place.is_finite() {
+            place
+        } else {
+            DVec3::ZERO
+        };
+        self.before = row(place, 0.0);
     }
 
     /// Normals go back with the volume; scale is left out.

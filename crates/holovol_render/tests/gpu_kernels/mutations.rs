@@ -120,13 +120,13 @@ pub const MUTATIONS: &[Caught] = &[
     ),
     caught(
         DENOISE,
-        "before.frames *= before.fit * before.fit;",
-        "before.frames *= before.fit;",
+        "mix(1.0, before.fit * before.fit, edited)",
+        "mix(1.0, before.fit, edited)",
         denoise_twins::holovol,
     ),
     caught(
         DENOISE,
-        "(light - old) / (frames + 1.0)",
+        "(light - old) / (frames + worth)",
         "(light - old) / frames",
         denoise::upheavals_leave_no_trace,
     ),
@@ -138,9 +138,39 @@ pub const MUTATIONS: &[Caught] = &[
     ),
     caught(
         DENOISE,
-        "frames += 1.0;",
-        "frames = min(frames + 1.0, 64.0);",
+        "frames += worth;\n    } else",
+        "frames = min(frames + worth, 64.0);\n    } else",
         denoise::resting_view_is_consistent,
+    ),
+    caught(
+        DENOISE,
+        "worth_of(eye) * difference.w",
+        "difference.w",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "denoise.edges.z * turn",
+        "denoise.edges.z * turn * turn",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "let seen = NEAR_SEEN * (a.y + b.y);",
+        "let seen = NEAR_SEEN * a.y;",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "mean * mean * squares.x;",
+        "mean * mean * sums.x;",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "clamp(pays * pays,",
+        "clamp(pays,",
+        denoise_twins::holovol,
     ),
     caught(
         DENOISE,

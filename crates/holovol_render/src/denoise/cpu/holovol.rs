@@ -2,12 +2,21 @@
 
 use glam::{IVec2, UVec2, Vec2, Vec3, Vec4};
 
-use super::{ALBEDO_FLOOR, Key, LARGEST, Memory, mean_rgb, project, with_frames};
+use super::{
+    ALBEDO_FLOOR, Key, LARGEST, Memory, SAMPLES_PER_FRAME, mean_rgb, project, with_frames,
+};
 use crate::denoise::uniforms::History;
 use crate::denoise::{FADE_FRAMES, TILE};
 
 const NO_WEIGHT: f32 = 0.02;
 const LIGHT_NOISE: f32 = 0.04;
+const NEAR_SEEN: f32 = 6.0;
+const NEAR_EXPECTED: f32 = 2.0;
+const BRIGHTEST: f32 = 1e12;
+const PAYS: f32 = 0.9;
+const NARROWER: [f32; 2] = [0.5, 16.0];
+const MOST_STRICT: f32 = 8.0;
+const EDIT: [f32; 2] = [0.05, 0.5];
 
 #[derive(Clone, Copy, Default)]
 struct Fetched {
@@ -121,6 +130,11 @@ impl Memory {
         Some(light.extend(mean.w - self.opacity(pixel)))
     }
 
+    /// Frames that an eye's samples count for.
+    fn worth(&self, eye: usize) -> f32 {
+        self.eye(eye).frame[0].max(1) as f32 / SAMPLES_PER_FRAME
+    }
+
     fn history_of(&self, eye: usize, position: UVec2, pixel: usize) -> Fetched {
         let key = self.key(self.now() + pixel);
         let mut before = Fetched::default();
@@ -136,15 +150,20 @@ impl Memory {
             let here = self.position(eye, position, key.depth);
             let there = project(&self.eye(eye).previous, here);
             let turned = key.at(key.depth, self.turned(eye, key.normal));
-            let strictness = self.uniform.across[0];
+            let here = here.truncate();
+            let was = here - Vec4::from(self.eye(eye).before).truncate();
+            let direction = |v: Vec3| v / v.length_squared().max(1e-30).sqrt();
+            let turn = direction(here).cross(direction(was)).length();
+            let factor = (self.uniform.edges[2] * turn).clamp(1.0, MOST_STRICT);
+            let strictness = self.uniform.across[0] * factor;
             let last = self.image_before(eye, self.before());
             before = self.fetch(turned, there, last, self.pixel_size(eye), strictness);
         }
         let [most, factor, change, _] = self.eye(eye).history;
         before.frames = (before.frames * factor).min(most);
-        if change > 0.0 {
-            before.frames *= before.fit * before.fit;
-        }
+        let t = ((change - EDIT[0]) / (EDIT[1] - EDIT[0])).clamp(0.0, 1.0);
+        let edited = t * t * (3.0 - 2.0 * t);
+        before.frames *= 1.0 + (before.fit * before.fit - 1.0) * edited;
         before
     }
 
@@ -170,11 +189,11 @@ impl Memory {
             let mean = mean_rgb(old);
             let filtered = before.filtered * mean_rgb(scale);
             let by_filter = filtered - mean;
-            let w = 1.0 / (filtered * filtered + m.uniform.tiles[2]);
+            let w = m.worth(eye) / (filtered * filtered + m.uniform.tiles[2]);
             let sums = [
                 difference.extend(d * d),
                 old.extend(mean * mean),
-                Vec4::new(d * by_filter, by_filter * by_filter, d * d, 1.0 / w) * w,
+                (w * Vec3::new(d * by_filter, by_filter * by_filter, d * d)).extend(1.0),
             ];
             let row = TILE as usize * m.tile(eye, position / TILE) + (position.y % TILE) as usize;
             for (part, sum) in sums.into_iter().enumerate() {
@@ -247,7 +266,7 @@ impl Memory {
         let prior = 1e-3 * memory.z + 1e-20;
         let weight = ((memory.x + prior) / (memory.y + prior)).clamp(0.0, 1.0);
         let noise = if old.w > 1e-30 {
-            difference.w / old.w.max(1e-30)
+            self.worth(eye) * difference.w / old.w.max(1e-30)
         } else {
             self.uniform.across[3]
         };
@@ -275,8 +294,9 @@ impl Memory {
                 frames /= 1.0 + frames * tile.w;
             }
             if let Some(light) = m.new_light(eye, pixel) {
-                old += (light - old) / (frames + 1.0);
-                frames += 1.0;
+                let worth = m.worth(eye);
+                old += worth * (light - old) / (frames + worth);
+                frames += worth;
             } else if frames == 0.0 {
                 old = Vec4::ZERO;
             }
@@ -312,6 +332,52 @@ impl Memory {
         });
     }
 
+    pub(super) fn prefilter(&mut self) {
+        self.each_pixel(|m, eye, position, pixel| {
+            let near = m.near_mean(eye, position, pixel);
+            let at = m.near_place(pixel);
+            m.state[at] = near;
+        });
+    }
+
+    /// Light over 3 × 3 neighbours: its mean, the variance of that, and frames.
+    fn near_mean(&self, eye: usize, position: UVec2, pixel: usize) -> Vec4 {
+        let key = self.key(self.both(pixel));
+        if key.albedo <= 0.0 {
+            return Vec4::ZERO;
+        }
+        let noise = self.tile_at(eye, position, 1).y;
+        let middle = position.as_ivec2();
+        let low = (middle - 1).max(IVec2::ZERO);
+        let high = (middle + 1).min(self.size(eye).as_ivec2() - 1);
+        let (mut sums, mut squares) = (Vec2::ZERO, Vec3::ZERO);
+        for y in low.y..=high.y {
+            for x in low.x..=high.x {
+                let at = self.pixel(eye, x as u32, y as u32);
+                let there = self.key(self.both(at));
+                let bias = self.guide_distance(key, there, self.pixel_size(eye));
+                let fits = 1.0 / (1.0 + bias * there.frames / noise);
+                let w = fits * fits * there.frames;
+                let light = mean_rgb(self.state[self.scratch(at)].truncate()).min(BRIGHTEST);
+                sums += w * Vec2::new(1.0, light);
+                squares += w * w * Vec3::new(1.0, light, light * light);
+            }
+        }
+        let total = sums.x.max(1e-10);
+        let mean = sums.y / total;
+        let spread = squares.z - 2.0 * mean * squares.y + mean * mean * squares.x;
+        Vec4::new(mean, spread.max(0.0) / (total * total), total, 0.0)
+    }
+
+    fn near_distance(&self, a: Vec4, b: Vec4, noise: f32) -> f32 {
+        let difference = a.x - b.x;
+        let mean = 0.5 * (a.x * a.x + b.x * b.x) + self.uniform.tiles[2];
+        let seen = NEAR_SEEN * (a.y + b.y);
+        let expected = NEAR_EXPECTED * noise * (1.0 / a.z.max(0.1) + 1.0 / b.z.max(0.1));
+        let excess = (difference * difference - seen) / mean - expected;
+        self.uniform.edges[1] * excess.max(0.0)
+    }
+
     pub(super) fn gather(&mut self) {
         self.each_pixel(|m, eye, position, pixel| {
             let own = m.state[m.now() + pixel];
@@ -320,7 +386,7 @@ impl Memory {
             let (mut result, mut filtered) = (own, own);
             if key.albedo > 0.0 {
                 let tile = m.tile_at(eye, position, 1);
-                filtered = m.filtered(eye, position, pixel, tile.y);
+                filtered = m.filtered(eye, position, pixel, tile);
                 let fade = FADE_FRAMES as f32;
                 let weight = tile.x.min(fade / (fade + m.counts[m.now() + pixel].x));
                 result = own.lerp(filtered, weight);
@@ -333,10 +399,17 @@ impl Memory {
     }
 
     /// The weighted mean over an octagon of neighbours.
-    fn filtered(&self, eye: usize, position: UVec2, pixel: usize, noise: f32) -> Vec4 {
+    fn filtered(&self, eye: usize, position: UVec2, pixel: usize, tile: Vec4) -> Vec4 {
         let radius = self.radius as i32;
         let key = self.key(self.both(pixel));
         let guide = self.counts[self.both(pixel)];
+        let near = self.state[self.near_place(pixel)];
+        let noise = tile.y;
+        let pays = PAYS / tile.x.max(0.05);
+        let narrower = match self.history(eye) {
+            same if same == History::Same as u32 => 1.0,
+            _ => (pays * pays).clamp(NARROWER[0], NARROWER[1]),
+        } / noise;
         let centre = key.frames.max(0.5);
         let mut light = centre * self.state[self.scratch(pixel)];
         let mut total = centre;
@@ -351,8 +424,9 @@ impl Memory {
                 let offset = (IVec2::new(x, y) - middle).as_vec2();
                 let bias = self.guide_distance(key, there, self.pixel_size(eye))
                     + self.uniform.bias[0] * offset.length_squared()
-                    + self.light_distance(guide, self.counts[self.both(at)], noise);
-                let fits = 1.0 / (1.0 + bias * there.frames / noise);
+                    + self.light_distance(guide, self.counts[self.both(at)], noise)
+                    + self.near_distance(near, self.state[self.near_place(at)], noise);
+                let fits = 1.0 / (1.0 + bias * there.frames * narrower);
                 if (x, y) != (middle.x, middle.y) {
                     let w = fits * fits * there.frames;
                     total += w;
@@ -369,5 +443,46 @@ impl Memory {
         let mean = 0.5 * (a.y * a.y + b.y * b.y) + self.uniform.tiles[2];
         let excess = difference * difference / mean - LIGHT_NOISE * noise;
         self.uniform.edges[0] * trust * excess.max(0.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::DenoiseSettings;
+    use crate::denoise::cpu::Before;
+
+    #[test]
+    fn frames_count_for_their_samples() {
+        let mut drawn = 0u32;
+        let mut number = || {
+            drawn = drawn.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (drawn >> 8) as f32 / 16_777_216.0
+        };
+        let settings = DenoiseSettings::default();
+        let mut memory = Memory::random(&settings, Before::Same, 0.0, &mut number);
+        for eye in &mut memory.uniform.eyes {
+            eye.frame[0] = 16;
+        }
+        memory.reproject();
+        memory.blend();
+        let mut finite = 0;
+        for eye in 0..2 {
+            let pixel = memory.pixel(eye, 3, 4);
+            let Some(light) = memory.new_light(eye, pixel) else {
+                continue;
+            };
+            finite += 1;
+            let (before, old) = (memory.counts[memory.both(pixel)].x, memory.scratch(pixel));
+            let now = memory.now() + pixel;
+            assert_eq!(
+                memory.counts[now].x,
+                before + 8.0,
+                "16 samples are 8 frames"
+            );
+            let mean = (memory.state[old] * before + light * 8.0) / (before + 8.0);
+            assert!(memory.state[now].abs_diff_eq(mean, 1e-5));
+        }
+        assert!(finite > 0);
     }
 }

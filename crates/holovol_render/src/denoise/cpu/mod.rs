@@ -10,12 +10,13 @@ use holovol_scene::Camera;
 
 use super::passes::Passes;
 use super::uniforms::{DenoiseUniform, EyeUniform, History, projection};
-use super::{COUNTS, DenoiseMode, DenoiseSettings, KEYS, STATE, TILE, TILES};
+use super::{COUNTS, DenoiseMode, DenoiseSettings, KEYS, LIGHTS, STATE, TILE, TILES};
 use crate::{Gpu, RenderError, View};
 
 /// Light is what radiance is per albedo, kept away from division by none.
 const ALBEDO_FLOOR: f32 = 0.5;
 const LARGEST: f32 = 1e15;
+const SAMPLES_PER_FRAME: f32 = 2.0;
 
 /// What happened to the eyes since the last frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,6 +35,7 @@ pub struct Memory {
     mode: DenoiseMode,
     radius: u32,
     uniform: DenoiseUniform,
+    /// The kernels' `state`, then their `lights`.
     state: Vec<Vec4>,
     keys: Vec<[u32; 4]>,
     counts: Vec<Vec2>,
@@ -171,6 +173,10 @@ impl Memory {
         3 * self.pixels() + pixel
     }
 
+    fn near_place(&self, pixel: usize) -> usize {
+        4 * self.pixels() + pixel
+    }
+
     fn both(&self, pixel: usize) -> usize {
         2 * self.pixels() + pixel
     }
@@ -280,6 +286,7 @@ impl Memory {
             eye.previous = projection(&views[i], &last, moved).unwrap_or_default();
             eye.other = projection(&views[i], &views[1 - i], DMat4::IDENTITY).unwrap_or_default();
             eye.set_turn(moved);
+            eye.set_before(&views[i], &last, moved);
             let across = size.x.div_ceil(TILE);
             // Not in the order in which the denoiser has them.
             let first = if i == 0 {
@@ -288,7 +295,7 @@ impl Memory {
                 0
             };
             eye.image = [size.x, size.y, first, pixels];
-            eye.frame = [2, history as u32, tiles, across];
+            eye.frame = [[2, 5][i], history as u32, tiles, across];
             eye.history = [24.0, 1.0, light_change, [1.0, 0.0][i]];
             let first_before = [0, sizes_before[0].element_product()][i];
             eye.place = [0, sizes_before[i].x, sizes_before[i].y, first_before];
@@ -319,7 +326,7 @@ impl Memory {
         let keys = (0..KEYS as usize * count)
             .map(|_| key(four(0.0, 1.0), four(-1.0, 1.0)))
             .collect();
-        let state = (0..STATE as usize * count)
+        let state = (0..(STATE + LIGHTS) as usize * count)
             .map(|_| four(0.0, 1.0))
             .collect();
         let counts = (0..COUNTS as usize * count)
@@ -372,6 +379,7 @@ impl Memory {
             "judge" => self.judge(),
             "blend" => self.blend(),
             "stereo" => self.stereo(),
+            "prefilter" => self.prefilter(),
             "gather" => self.gather(),
             _ => panic!("there is no pass {pass}"),
         }
@@ -384,14 +392,16 @@ impl Memory {
     pub fn run_kernel(&mut self, gpu: &Gpu, pass: &'static str) -> Result<(), RenderError> {
         let passes = Passes::new(gpu, self.is_paper(), self.radius, Some(pass))?;
         let sizes = [0, 1].map(|eye| self.size(eye).to_array());
-        let contents: [&[u8]; 7] = [
+        let (state, lights) = self.state.split_at(STATE as usize * self.pixels());
+        let contents: [&[u8]; 8] = [
             bytemuck::bytes_of(&self.uniform),
-            &bytes(&self.state, |v| v.to_array()),
+            &bytes(state, |v| v.to_array()),
             bytemuck::cast_slice(&self.keys),
             &bytes(&self.counts, |v| v.to_array()),
             &bytes(&self.tiles, |v| v.to_array()),
             &bytes(&self.noisy, |v| v.to_array()),
             &bytes(&self.output, |v| v.to_array()),
+            &bytes(lights, |v| v.to_array()),
         ];
         let buffers = gpu.scoped("a pass", 0, || {
             let mut usage = wgpu::BufferUsages::UNIFORM;
@@ -406,6 +416,7 @@ impl Memory {
         gpu.queue.submit([encoder.finish()]);
         let read = |i: usize| gpu.read_buffer("a pass", &buffers[i], buffers[i].size());
         self.state = vectors(&read(1)?, Vec4::from_array);
+        self.state.extend(vectors(&read(7)?, Vec4::from_array));
         self.keys = vectors(&read(2)?, |v| v);
         self.counts = vectors(&read(3)?, Vec2::from_array);
         self.tiles = vectors(&read(4)?, Vec4::from_array);

@@ -7,7 +7,7 @@
 #import holovol_render::transfer_function::{transfer_sigma_t, transfer_material}
 #import holovol_render::walk::{walk_start, walk_majorant, load_occupied}
 #import holovol_render::denoise::common::{
-    denoise, state, keys, Key, pack_key, half_now, albedo_at, mean_rgb,
+    denoise, lights, keys, Key, pack_key, half_now, albedo_at, mean_rgb,
 }
 
 // Texels of a step, and evaluations of the transfer function in it.
@@ -162,5 +162,5 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         albedo = vec3<f32>(0.0);
     }
     keys[half_now() + pixel] = pack_key(key);
-    state[albedo_at(pixel)] = vec4<f32>(albedo, opacity);
+    lights[albedo_at(pixel)] = vec4<f32>(albedo, opacity);
 }

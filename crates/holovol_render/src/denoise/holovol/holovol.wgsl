@@ -1,16 +1,30 @@
 // The denoiser's own mode, pass by pass; docs/denoising.md explains it.
 
 #import holovol_render::denoise::common::{
-    denoise, state, keys, counts, tiles, noisy, output, Key, unpack_key, with_frames,
-    guide_distance, half_now, half_before, albedo_at, scratch_at, both_at, tile_at, tile_sums,
+    denoise, state, lights, keys, counts, tiles, noisy, output, Key, unpack_key, with_frames,
+    guide_distance, half_now, half_before, albedo_at, scratch_at, near_at, both_at, tile_at, tile_sums,
     tile_memory, tile_result, tile_rows, mean_rgb, all_finite, HISTORY_MOVED, HISTORY_SAME,
-    HISTORY_NONE, ALBEDO_FLOOR, LARGEST, TILE,
+    HISTORY_NONE, ALBEDO_FLOOR, LARGEST, TILE, SAMPLES_PER_FRAME,
 }
 
 // Weights of history and of the other eye below this are nothing.
 const NO_WEIGHT: f32 = 0.02;
 // Of the samples' relative variance: differences of filtered light up to here are its own noise.
 const LIGHT_NOISE: f32 = 0.04;
+// Variances that a squared difference of near light must exceed: those of the means over 3 x 3, as
+// seen there and as the tile's noise lets expect.
+const NEAR_SEEN: f32 = 6.0;
+const NEAR_EXPECTED: f32 = 2.0;
+// Its square, times that of 9 * 60000 frames, is within f32.
+const BRIGHTEST: f32 = 1e12;
+// Where filtering pays less than this share, the filter becomes narrower, by its square; not at
+// rest, where it pays less as the history grows.
+const PAYS: f32 = 0.9;
+const NARROWER: vec2<f32> = vec2<f32>(0.5, 16.0);
+// Guides of the last frame need not agree more than so many times as much.
+const MOST_STRICT: f32 = 8.0;
+// T from which, and from where fully, history counts by how well it fits.
+const EDIT: vec2<f32> = vec2<f32>(0.05, 0.5);
 // Pixels to each side that the last pass filters over.
 const RADIUS: i32 = #{RADIUS};
 // In place of an opacity: a sample was not finite.
@@ -92,6 +106,15 @@ fn new_light(eye: u32, pixel: u32, guide: vec4<f32>) -> vec4<f32> {
     return vec4<f32>(light, mean.a - guide.a);
 }
 
+fn direction_of(v: vec3<f32>) -> vec3<f32> {
+    return v * inverseSqrt(max(dot(v, v), 1e-30));
+}
+
+// Frames that this frame counts for.
+fn worth_of(eye: u32) -> f32 {
+    return f32(max(denoise.eyes[eye].frame.x, 1u)) / SAMPLES_PER_FRAME;
+}
+
 // 1. What this frame's samples and the history say of each pixel, and of each row of a tile. A lane
 // takes the eight pixels of such a row: sums need no other lane.
 @compute @workgroup_size(64)
@@ -109,11 +132,11 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
         let position = vec2<u32>(x, row.y);
         let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
         let before = history_of(eye, position, pixel);
-        state[scratch_at(pixel)] = before.light;
+        lights[scratch_at(pixel)] = before.light;
         counts[both_at(pixel)] = vec2<f32>(before.frames, before.filtered);
         let is_met = bitcast<f32>(keys[half_now() + pixel].x) > 0.0;
         for (var once = is_met && before.frames > 0.0; once; once = false) {
-            let guide = state[albedo_at(pixel)];
+            let guide = lights[albedo_at(pixel)];
             let scale = guide.rgb + ALBEDO_FLOOR;
             let light = new_light(eye, pixel, guide);
             let old = before.light.rgb * scale;
@@ -122,7 +145,7 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
             let mean = mean_rgb(old);
             let filtered = before.filtered * mean_rgb(scale);
             let by_filter = filtered - mean;
-            let w = 1.0 / (filtered * filtered + denoise.tiles.z);
+            let w = worth_of(eye) / (filtered * filtered + denoise.tiles.z);
             if light.a > NOT_FINITE {
                 sums[0] += vec4<f32>(difference, d * d);
                 sums[1] += vec4<f32>(old, mean * mean);
@@ -159,14 +182,17 @@ fn history_of(eye: u32, position: vec2<u32>, pixel: u32) -> Fetched {
                 dot(denoise.eyes[eye].turn_z.xyz, key.normal),
             );
             let last = denoise.eyes[eye].place.yzw + vec3<u32>(0u, 0u, half_before());
-            before = fetch(turned, there, last, denoise.eyes[eye].turn_x.w, denoise.across.x);
+            // What is seen from elsewhere has changed more than its guides tell.
+            let was = here.xyz - denoise.eyes[eye].before.xyz;
+            let turn = length(cross(direction_of(here.xyz), direction_of(was)));
+            let strictness = denoise.across.x * clamp(denoise.edges.z * turn, 1.0, MOST_STRICT);
+            before = fetch(turned, there, last, denoise.eyes[eye].turn_x.w, strictness);
         }
     }
     before.frames = min(before.frames * denoise.eyes[eye].history.y, denoise.eyes[eye].history.x);
     // After an edit what is left is for pixels that it did not touch.
-    if denoise.eyes[eye].history.z > 0.0 {
-        before.frames *= before.fit * before.fit;
-    }
+    let edited = smoothstep(EDIT.x, EDIT.y, denoise.eyes[eye].history.z);
+    before.frames *= mix(1.0, before.fit * before.fit, edited);
     return before;
 }
 
@@ -239,7 +265,8 @@ fn judge(@builtin(global_invocation_id) invocation: vec3<u32>) {
     // Least squares of the new samples on what the filter had changed: they share no noise.
     let prior = 1e-3 * memory.z + 1e-20;
     let weight = clamp((memory.x + prior) / (memory.y + prior), 0.0, 1.0);
-    let noise = select(denoise.across.w, difference.w / max(old.w, 1e-30), old.w > 1e-30);
+    let measured = worth_of(eye) * difference.w / max(old.w, 1e-30);
+    let noise = select(denoise.across.w, measured, old.w > 1e-30);
     tiles[tile_result(0u) + first + invocation.x] = vec4<f32>(correction, shortening);
     tiles[tile_result(1u) + first + invocation.x] =
         vec4<f32>(weight, clamp(noise, 0.003, 1.0), 0.0, 0.0);
@@ -255,8 +282,8 @@ fn blend(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         return;
     }
     let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
-    let light = new_light(eye, pixel, state[albedo_at(pixel)]);
-    var old = state[scratch_at(pixel)];
+    let light = new_light(eye, pixel, lights[albedo_at(pixel)]);
+    var old = lights[scratch_at(pixel)];
     let count = counts[both_at(pixel)];
     var frames = count.x;
     for (var once = denoise.eyes[eye].frame.y == HISTORY_MOVED && frames > 0.0; once; once = false) {
@@ -265,8 +292,9 @@ fn blend(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         frames /= 1.0 + frames * tile.w;
     }
     if light.a > NOT_FINITE {
-        old += (light - old) / (frames + 1.0);
-        frames += 1.0;
+        let worth = worth_of(eye);
+        old += worth * (light - old) / (frames + worth);
+        frames += worth;
     } else if frames == 0.0 {
         old = vec4<f32>(0.0);
     }
@@ -306,7 +334,7 @@ fn stereo(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
             frames += worth;
         }
     }
-    state[scratch_at(pixel)] = light;
+    lights[scratch_at(pixel)] = light;
     keys[both_at(pixel)] = with_frames(words, frames);
 }
 
@@ -319,7 +347,59 @@ fn light_distance(a: vec2<f32>, b: vec2<f32>, noise: f32) -> f32 {
     return denoise.edges.x * trust * max(difference * difference / mean - LIGHT_NOISE * noise, 0.0);
 }
 
-// 5. A filter over neighbours, each weighed by its noise and by what its guides differ.
+// 5. A mean over 3 x 3, for the weights of the last pass: where light changes though guides don't.
+// Its variance is that of its nine.
+@compute @workgroup_size(64)
+fn prefilter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
+    let eye = group.z;
+    let position = pixel_of(group, local);
+    let size = denoise.eyes[eye].image.xy;
+    if any(position >= size) {
+        return;
+    }
+    let first = denoise.eyes[eye].image.w;
+    let pixel = first + position.x + size.x * position.y;
+    let words = keys[both_at(pixel)];
+    var near = vec4<f32>(0.0);
+    for (var once = bitcast<f32>(words.x) > 0.0; once; once = false) {
+        let pixel_size = denoise.eyes[eye].turn_x.w;
+        let key = unpack_key(words);
+        let inverse_noise = 1.0 / tile_at(eye, position, 1u).y;
+        let low = max(vec2<i32>(position) - 1, vec2<i32>(0));
+        let high = min(vec2<i32>(position) + 1, vec2<i32>(size) - 1);
+        // Weights with light to the power of 0 and 1, squared weights with 0, 1 and 2.
+        var sums = vec2<f32>(0.0);
+        var squares = vec3<f32>(0.0);
+        for (var y = low.y; y <= high.y; y += 1) {
+            for (var x = low.x; x <= high.x; x += 1) {
+                let at = first + u32(x) + size.x * u32(y);
+                let there = unpack_key(keys[both_at(at)]);
+                let bias = guide_distance(key, there, pixel_size);
+                let fits = 1.0 / (1.0 + bias * there.frames * inverse_noise);
+                let w = fits * fits * there.frames;
+                let light = min(mean_rgb(lights[scratch_at(at)].rgb), BRIGHTEST);
+                sums += w * vec2<f32>(1.0, light);
+                squares += w * w * vec3<f32>(1.0, light, light * light);
+            }
+        }
+        let total = max(sums.x, 1e-10);
+        let mean = sums.y / total;
+        let spread = squares.z - 2.0 * mean * squares.y + mean * mean * squares.x;
+        near = vec4<f32>(mean, max(spread, 0.0) / (total * total), total, 0.0);
+    }
+    lights[near_at(pixel)] = near;
+}
+
+// Of two such means (mean, variance, frames).
+fn near_distance(a: vec4<f32>, b: vec4<f32>, noise: f32) -> f32 {
+    let difference = a.x - b.x;
+    let mean = 0.5 * (a.x * a.x + b.x * b.x) + denoise.tiles.z;
+    let seen = NEAR_SEEN * (a.y + b.y);
+    let expected = NEAR_EXPECTED * noise * (1.0 / max(a.z, 0.1) + 1.0 / max(b.z, 0.1));
+    return denoise.edges.y * max((difference * difference - seen) / mean - expected, 0.0);
+}
+
+// 6. A filter over neighbours, each weighed by its noise and by what its guides differ.
 @compute @workgroup_size(64)
 fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
     let eye = group.z;
@@ -331,7 +411,7 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
     let first = denoise.eyes[eye].image.w;
     let pixel = first + position.x + size.x * position.y;
     let own = state[half_now() + pixel];
-    let albedo = state[albedo_at(pixel)];
+    let albedo = lights[albedo_at(pixel)];
     let scale = albedo.rgb + ALBEDO_FLOOR;
     let words = keys[both_at(pixel)];
     var result = own;
@@ -342,12 +422,15 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
         let tile = tile_at(eye, position, 1u);
         let own_frames = counts[half_now() + pixel].x;
         let centre = max(key.frames, 0.5);
-        var light = centre * state[scratch_at(pixel)];
+        var light = centre * lights[scratch_at(pixel)];
         var total = centre;
         let low = max(vec2<i32>(position) - RADIUS, vec2<i32>(0));
         let high = min(vec2<i32>(position) + RADIUS, vec2<i32>(size) - 1);
-        let inverse_noise = 1.0 / tile.y;
+        let pays = PAYS / max(tile.x, 0.05);
+        let moves = denoise.eyes[eye].frame.y != HISTORY_SAME;
+        let narrower = select(1.0, clamp(pays * pays, NARROWER.x, NARROWER.y), moves) / tile.y;
         let guide = counts[both_at(pixel)];
+        let near = lights[near_at(pixel)];
         for (var y = low.y; y <= high.y; y += 1) {
             // Corners are cut: an octagon.
             let reach = RADIUS - max(0, abs(y - i32(position.y)) - RADIUS / 2);
@@ -359,11 +442,12 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
                 let offset = vec2<f32>(vec2<i32>(x, y) - vec2<i32>(position));
                 let r2 = dot(offset, offset);
                 let bias = guide_distance(key, there, pixel_size) + denoise.bias.x * r2
-                    + light_distance(guide, counts[both_at(at)], tile.y);
-                let fits = 1.0 / (1.0 + bias * there.frames * inverse_noise);
+                    + light_distance(guide, counts[both_at(at)], tile.y)
+                    + near_distance(near, lights[near_at(at)], tile.y);
+                let fits = 1.0 / (1.0 + bias * there.frames * narrower);
                 let w = select(0.0, fits * fits * there.frames, r2 > 0.0);
                 total += w;
-                light += w * state[scratch_at(at)];
+                light += w * lights[scratch_at(at)];
             }
         }
         filtered = light / total;

@@ -3,7 +3,7 @@
 // bilateral weight falls with albedo, gradient direction and depth.
 
 #import holovol_render::denoise::common::{
-    denoise, state, keys, noisy, output, Key, unpack_key, half_now, half_before, albedo_at,
+    denoise, state, lights, keys, noisy, output, Key, unpack_key, half_now, half_before, albedo_at,
     scratch_at, all_finite, HISTORY_NONE, TILE,
 }
 
@@ -16,7 +16,7 @@ fn pixel_of(group: vec3<u32>, local: u32) -> vec2<u32> {
     return TILE * group.xy + vec2<u32>(local % TILE, local / TILE);
 }
 
-fn first_step_at(pixel: u32) -> u32 { return 4u * denoise.counts.y + pixel; }
+fn first_step_at(pixel: u32) -> u32 { return 2u * denoise.counts.y + pixel; }
 
 // zeta: 1 for equal guides.
 fn bilateral(a: Key, b: Key, albedo_a: vec3<f32>, albedo_b: vec3<f32>, pixel_size: f32) -> f32 {
@@ -77,7 +77,7 @@ fn near(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let first = denoise.eyes[eye].image.w;
     let pixel = first + position.x + size.x * position.y;
     let key = unpack_key(keys[half_now() + pixel]);
-    let albedo = state[albedo_at(pixel)].rgb;
+    let albedo = lights[albedo_at(pixel)].rgb;
     let pixel_size = denoise.eyes[eye].turn_x.w;
     var sum = vec4<f32>(0.0);
     var total = 0.0;
@@ -91,14 +91,14 @@ fn near(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
             let offset = vec2<f32>(vec2<i32>(x, y) - vec2<i32>(position));
             let there = unpack_key(keys[half_now() + at]);
             let w = exp(-falloff * dot(offset, offset))
-                * bilateral(key, there, albedo, state[albedo_at(at)].rgb, pixel_size);
+                * bilateral(key, there, albedo, lights[albedo_at(at)].rgb, pixel_size);
             if value.a >= 0.0 {
                 sum += w * value;
                 total += w;
             }
         }
     }
-    state[scratch_at(pixel)] = select(vec4<f32>(0.0), sum / total, total > 0.0);
+    lights[scratch_at(pixel)] = select(vec4<f32>(0.0), sum / total, total > 0.0);
 }
 
 // D1, second and third part: the other eye, then the last frame.
@@ -112,9 +112,9 @@ fn first_step(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation
     }
     let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
     let key = unpack_key(keys[half_now() + pixel]);
-    let albedo = state[albedo_at(pixel)].rgb;
+    let albedo = lights[albedo_at(pixel)].rgb;
     let pixel_size = denoise.eyes[eye].turn_x.w;
-    var value = state[scratch_at(pixel)];
+    var value = lights[scratch_at(pixel)];
     let here = position_of(eye, position, key.depth);
     if key.albedo > 0.0 && denoise.counts.x == 2u {
         let place = other_place(eye, here);
@@ -123,8 +123,8 @@ fn first_step(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation
             var expected = key;
             expected.depth = place.z;
             let at = u32(there);
-            let zeta = bilateral(expected, unpack_key(keys[half_now() + at]), albedo, state[albedo_at(at)].rgb, pixel_size);
-            value = (value + zeta * state[scratch_at(at)]) / (1.0 + zeta);
+            let zeta = bilateral(expected, unpack_key(keys[half_now() + at]), albedo, lights[albedo_at(at)].rgb, pixel_size);
+            value = (value + zeta * lights[scratch_at(at)]) / (1.0 + zeta);
         }
     }
     let change = denoise.eyes[eye].history.z;
@@ -152,7 +152,7 @@ fn first_step(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation
             value = (value + weight * state[half_before() + at]) / (1.0 + weight);
         }
     }
-    state[first_step_at(pixel)] = value;
+    lights[first_step_at(pixel)] = value;
 }
 
 // D2: between the eyes.
@@ -166,15 +166,15 @@ fn second_step(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocatio
     }
     let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
     let key = unpack_key(keys[half_now() + pixel]);
-    var value = state[first_step_at(pixel)];
+    var value = lights[first_step_at(pixel)];
     if key.albedo > 0.0 && denoise.counts.x == 2u {
         let place = other_place(eye, position_of(eye, position, key.depth));
         let there = pixel_at(denoise.eyes[1u - eye].image.xyw, place);
         if there >= 0 {
             let at = u32(there);
-            let difference = state[albedo_at(pixel)].rgb - state[albedo_at(at)].rgb;
+            let difference = lights[albedo_at(pixel)].rgb - lights[albedo_at(at)].rgb;
             let lambda = ALPHA * (BETA - exp(-length(difference)));
-            value = mix(state[first_step_at(at)], value, lambda);
+            value = mix(lights[first_step_at(at)], value, lambda);
         }
     }
     state[half_now() + pixel] = value;
