@@ -1,6 +1,6 @@
 //! What hands do is seen, by both eyes.
 
-use bevy::math::Isometry3d;
+use bevy::math::{DVec2, Isometry3d};
 use bevy::prelude::*;
 use bevy_holovol::Graspable;
 use bevy_holovol::interaction::{Hand, Hands, InteractionMarks, InteractionSystems};
@@ -28,6 +28,23 @@ fn distance(frame: &CapturedFrame, eye: usize, at: Vec3, color: Color) -> f32 {
         .map(|(x, y)| picture[y * frame.size[0] as usize + x])
         .map(|[r, g, b, _]| Vec3::new(r, g, b).distance(wanted))
         .fold(f32::INFINITY, f32::min)
+}
+
+/// Whether a corner of the back is seen well within the front's edges and beside the ray, wherever
+/// the simulated head has got to.
+fn is_behind(frame: &CapturedFrame, eye: usize, back: Vec3) -> bool {
+    let place = |at: Vec3| DVec2::from(project(&frame.views[eye], frame.size, at));
+    let at = place(back);
+    let around = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
+    let around = around.map(|(x, y)| place(MIDDLE + 1.05 * HALF * Vec3::new(x, y, 1.0)));
+    let inside = (0..4).all(|i| {
+        let [from, to] = [around[i], around[(i + 1) % 4]];
+        // Pixel rows go down: the corners go round clockwise.
+        (to - from).normalize().perp_dot(at - from) < -4.0
+    });
+    let [from, to] = [HAND, MIDDLE].map(place);
+    let part = ((at - from).dot(to - from) / from.distance_squared(to)).clamp(0.0, 1.0);
+    inside && at.distance(from.lerp(to, part)) > 6.0
 }
 
 fn boxes_and_rays_are_seen() {
@@ -58,7 +75,12 @@ fn boxes_and_rays_are_seen() {
     // Of what the volume doesn't hide.
     let seen = |frame: &CapturedFrame, eye: usize| {
         let corners = front.map(|(x, y)| distance(frame, eye, corner(x, y, 1.0), marks.idle));
-        let hidden = front.map(|(x, y)| distance(frame, eye, corner(x, y, -1.0), marks.idle));
+        let hidden: Vec<f32> = front
+            .map(|(x, y)| corner(x, y, -1.0))
+            .into_iter()
+            .filter(|back| is_behind(frame, eye, *back))
+            .map(|back| distance(frame, eye, back, marks.idle))
+            .collect();
         let ray = distance(frame, eye, HAND.lerp(MIDDLE, 0.4), marks.hover);
         let grip = distance(frame, eye, HAND, marks.hover);
         eprintln!("eye {eye}: {corners:.2?}, hidden {hidden:.2?}, ray {ray:.2}, {grip:.2}");
@@ -73,9 +95,22 @@ fn boxes_and_rays_are_seen() {
         for _ in 0..3 {
             app.update();
         }
-        let frame = capture(&mut app);
+        let behind = |frame: &CapturedFrame, eye: usize| {
+            front
+                .map(|(x, y)| corner(x, y, -1.0))
+                .iter()
+                .any(|back| is_behind(frame, eye, *back))
+        };
+        let mut frame = capture(&mut app);
+        for _ in 0..200 {
+            if (0..2).all(|eye| behind(&frame, eye)) {
+                break;
+            }
+            frame = capture(&mut app);
+        }
         for eye in 0..2 {
             let (corners, hidden, ray) = seen(&frame, eye);
+            assert!(!hidden.is_empty(), "the head stays where it sees all sides");
             assert!(hidden.iter().all(|d| *d > 0.4), "behind a volume");
             if is_there {
                 assert!(corners.iter().all(|d| *d < 0.1) && ray < 0.25);

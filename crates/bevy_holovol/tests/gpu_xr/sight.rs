@@ -135,10 +135,47 @@ fn unequal_shares_leave_the_mean() {
 fn what_nobody_sees_is_not_traced() {
     let (mut app, volume, matter, place) = scene(settings());
     show(&mut app);
-    // The head moves: through the middle of the light, as the left eye sees it now.
-    let frame = capture(&mut app);
+    let light = |picture: &[[f32; 4]], columns: std::ops::Range<usize>| -> f64 {
+        let rows = picture.chunks(320);
+        let pixels = rows.flat_map(|row| &row[columns.clone()]);
+        pixels.map(|pixel| f64::from(pixel[0])).sum()
+    };
+    // The head moves on while a kernel is compiled: until the mask still lies across the light.
+    for attempt in 1.. {
+        let part = hide_what_is_right_of_the_light(&mut app);
+        // The kernel for it may have to be compiled.
+        show(&mut app);
+        let full = 2 * 320 * 240 * u64::from(SAMPLES);
+        let saved = 1.0 - samples_of_a_frame(&mut app) as f64 / full as f64;
+        let frame = capture(&mut app);
+        let [left, right] = [0, 1].map(|eye: usize| linear(&frame, eye));
+        let [all_left, all_right] = offline(&frame, &volume, &matter, place, SAMPLES);
+        let middle = (320.0 * part) as usize;
+        eprintln!("{saved:.2} of all samples saved; hidden from {middle} on");
+        let expected = f64::from(1.0 - part) / 2.0;
+        assert!((expected - saved).abs() < 0.06, "{saved}, {expected}");
+        // A block beyond the margin of another.
+        assert_eq!(light(&left, middle + 24..320), 0.0);
+        let ratio = light(&right, 0..320) / light(&all_right, 0..320);
+        assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
+        let sides = [middle + 24..320, 0..middle].map(|side| light(&all_left, side));
+        if sides.iter().any(|light| *light < 100.0) {
+            assert!(attempt < 20, "the head never stands still: {sides:.0?}");
+            continue;
+        }
+        let ratio = light(&left, 0..middle) / sides[1];
+        assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
+        break;
+    }
+}
+
+/// Hides from the left eye what is right of the middle of the light that it sees now; gives where
+/// that is, of its image's width.
+fn hide_what_is_right_of_the_light(app: &mut App) -> f32 {
+    let frame = capture(app);
     let (mut sum, mut weight) = (0.0, 0.0);
     for (i, pixel) in linear(&frame, 0).iter().enumerate() {
+        // The surroundings of the mask before this one are black, too.
         sum += (i % 320) as f32 * pixel[0];
         weight += pixel[0];
     }
@@ -158,31 +195,5 @@ fn what_nobody_sees_is_not_traced() {
         hidden: [Arc::new(half), Arc::new([])],
         gaze: None,
     }));
-    // The kernel for it may have to be compiled.
-    show(&mut app);
-    let full = 2 * 320 * 240 * u64::from(SAMPLES);
-    let saved = 1.0 - samples_of_a_frame(&mut app) as f64 / full as f64;
-    let frame = capture(&mut app);
-    let [left, right] = [0, 1].map(|eye: usize| linear(&frame, eye));
-    let [all_left, all_right] = offline(&frame, &volume, &matter, place, SAMPLES);
-    let middle = (320.0 * part) as usize;
-    eprintln!("{saved:.2} of all samples saved; hidden from {middle} on");
-    let expected = f64::from(1.0 - part) / 2.0;
-    assert!((expected - saved).abs() < 0.06, "{saved}, {expected}");
-    let light = |picture: &[[f32; 4]], columns: std::ops::Range<usize>| -> f64 {
-        let rows = picture.chunks(320);
-        let pixels = rows.flat_map(|row| &row[columns.clone()]);
-        pixels.map(|pixel| f64::from(pixel[0])).sum()
-    };
-    // A block beyond the margin of another.
-    assert_eq!(light(&left, middle + 24..320), 0.0);
-    assert!(
-        light(&all_left, middle + 24..320) > 100.0,
-        "there is something to see"
-    );
-    assert!(light(&all_left, 0..middle) > 100.0, "on both sides");
-    let ratio = light(&left, 0..middle) / light(&all_left, 0..middle);
-    assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
-    let ratio = light(&right, 0..320) / light(&all_right, 0..320);
-    assert!((ratio - 1.0).abs() < 0.02, "{ratio}");
+    part
 }
