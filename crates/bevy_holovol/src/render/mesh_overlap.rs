@@ -124,7 +124,8 @@ fn find(
                     || bending.is_changed(skin, morph);
                 let changed_in = match is_changed {
                     true => overlaps.frame,
-                    false => before.get(&mesh).copied().unwrap_or(0),
+                    // What it did while nobody looked isn't known.
+                    false => before.get(&mesh).copied().unwrap_or(overlaps.frame),
                 };
                 overlaps.changed_in.insert(mesh, changed_in);
                 inside.push((mesh.into(), changed_in));

@@ -157,6 +157,13 @@ impl Inner {
         }
         let lives = |entity: &MainEntity| scene.volumes.iter().any(|v| v.entity == *entity);
         self.targets.retain(|entity, _| lives(entity));
+        // Tracers of views that look elsewhere get on only once they are seen again.
+        let is_seen = |key: &TracerKey| {
+            let mut views = scene.views.iter();
+            views.any(|view| {
+                view.settings.max_scatters == key.1 && view.volumes.iter().any(|v| v.0 == key.0)
+            })
+        };
         for extracted in &scene.volumes {
             let target = self.targets.get(&extracted.entity);
             let is_other = |target: &&Target| !Arc::ptr_eq(&target.volume, &extracted.volume);
@@ -164,7 +171,8 @@ impl Inner {
                 let uploads =
                     |made: &Made<Volume, _>| made.is_of(&target.volume) && made.is_pending();
                 let mut tracings = self.tracings.iter();
-                let is_busy = tracings.any(|(key, t)| key.0 == extracted.entity && t.is_busy());
+                let is_busy = tracings
+                    .any(|(key, t)| key.0 == extracted.entity && is_seen(key) && t.is_busy());
                 if is_busy || self.volumes.iter().any(uploads) {
                     continue;
                 }

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use bevy::asset::AssetEventSystems;
+use bevy::asset::{AssetEventSystems, LoadState};
 use bevy::prelude::*;
 
 use crate::{TransferFunctionAsset, Volume3d, VolumeAsset, VolumeMaterial3d};
@@ -43,26 +43,37 @@ fn follow_assets(
     volumes: Query<(Entity, &Volume3d, &VolumeMaterial3d)>,
     assets: Option<Res<Assets<VolumeAsset>>>,
     functions: Option<Res<Assets<TransferFunctionAsset>>>,
+    server: Option<Res<AssetServer>>,
 ) {
+    let server = server.as_deref();
     shown.0.retain(|entity, _| volumes.contains(*entity));
     for (entity, volume, material) in &volumes {
         let shown = shown.0.entry(entity).or_default();
-        follow(&mut shown.volume, volume.id(), assets.as_deref());
-        follow(&mut shown.function, material.id(), functions.as_deref());
+        follow(&mut shown.volume, volume.id(), assets.as_deref(), server);
+        follow(
+            &mut shown.function,
+            material.id(),
+            functions.as_deref(),
+            server,
+        );
     }
 }
 
-/// Another handle takes the place of the former once its asset is there. An asset that was removed,
-/// and the default handle, are nothing to wait for.
+/// Another handle takes the place of the former once its asset is there. An asset that was removed
+/// or can't be loaded, and the default handle, are nothing to wait for.
 fn follow<A: Asset + Clone>(
     shown: &mut Option<(AssetId<A>, A)>,
     id: AssetId<A>,
     assets: Option<&Assets<A>>,
+    server: Option<&AssetServer>,
 ) {
-    let is_another = |shown: &(AssetId<A>, A)| shown.0 != id;
+    let may_come = |shown: &(AssetId<A>, A)| {
+        let state = server.and_then(|server| server.get_load_state(id));
+        shown.0 != id && id != AssetId::default() && !matches!(state, Some(LoadState::Failed(_)))
+    };
     match assets.and_then(|assets| assets.get(id)) {
         Some(asset) => *shown = Some((id, asset.clone())),
-        None if id != AssetId::default() && shown.as_ref().is_some_and(is_another) => {}
+        None if shown.as_ref().is_some_and(may_come) => {}
         None => *shown = None,
     }
 }

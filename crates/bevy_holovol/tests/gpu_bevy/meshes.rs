@@ -29,6 +29,10 @@ pub const TESTS: &[crate::Test] = &[
         meshes_elsewhere,
     ),
     (
+        "meshes_that_move_unseen_begin_the_image_anew",
+        meshes_unseen,
+    ),
+    (
         "a_mesh_inside_a_scan_equals_the_reference",
         a_mesh_inside_a_scan_equals_the_reference,
     ),
@@ -276,6 +280,39 @@ fn meshes_elsewhere() {
     meshes.insert(&mesh, other.into()).expect("a handle in use");
     let after = samples(&mut app);
     assert_eq!(after, before + 2 * of_one, "the other's gets another shape");
+}
+
+/// Twice, since after the first time nothing is known of the mesh either.
+fn meshes_unseen() {
+    let mut app = app();
+    let volume = spawn_volume(&mut app, solid(Vec3::splat(0.4)), matter(SIGMA, 0.5));
+    let mesh = spawn_box(&mut app, Vec3::splat(0.1), Vec3::ZERO);
+    let target = target(&mut app, 24, 24);
+    spawn_camera(&mut app, &target, 4.0, settings(64));
+    for _ in 0..3 {
+        finish(&mut app);
+        app.update();
+    }
+    finish(&mut app);
+    for round in 0..3 {
+        let before = statistics(&app).samples;
+        app.world_mut()
+            .entity_mut(volume)
+            .insert(Visibility::Hidden);
+        app.update();
+        let mut place = app.world_mut().get_mut::<Transform>(mesh).expect("a place");
+        place.translation.y += 0.02;
+        for _ in 0..3 {
+            app.update();
+        }
+        app.world_mut()
+            .entity_mut(volume)
+            .insert(Visibility::Visible);
+        app.update();
+        finish(&mut app);
+        let samples = statistics(&app).samples - before;
+        assert_eq!(samples, 64 * 24 * 24, "round {round}");
+    }
 }
 
 /// A tilted edge in front of the volume is as smooth as without a volume behind it.

@@ -78,6 +78,21 @@ fn while_another_is_loaded() {
     assert_near("taken away", dark(&mut app, &target), 1.0, 1e-3);
     insert(&mut app, 1.0);
     assert_near("back again", dark(&mut app, &target), (-2f32).exp(), 0.01);
+    // Nor is one that can't be loaded: what is shown under its handle would be another's scan.
+    let server = app.world().resource::<AssetServer>().clone();
+    let missing: Handle<VolumeAsset> = server.load("nobody.nrrd");
+    app.world_mut()
+        .entity_mut(volume)
+        .insert(Volume3d(missing.clone()));
+    for _ in 0..2000 {
+        app.update();
+        if server.load_state(&missing).is_failed() {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(2));
+    }
+    assert!(server.load_state(&missing).is_failed());
+    assert_near("can't be loaded", dark(&mut app, &target), 1.0, 1e-3);
     app.world_mut()
         .entity_mut(volume)
         .insert(Volume3d::default());

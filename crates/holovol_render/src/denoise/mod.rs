@@ -282,7 +282,11 @@ impl Denoiser {
     ) -> DenoiseUniform {
         let settings = &self.settings;
         let mut uniform = DenoiseUniform::zeroed();
-        let mut change = frame.light_change.clamp(0.0, 1.0);
+        // What isn't a number is taken for any change.
+        let mut change = match frame.light_change.is_nan() {
+            true => 1.0,
+            false => frame.light_change.clamp(0.0, 1.0),
+        };
         let mut moved = DMat4::IDENTITY;
         if let Some(before) = &self.before {
             moved = before.medium.world_from_unit_cube * medium.world_from_unit_cube.inverse();
@@ -482,6 +486,7 @@ fn images(tracer: &FrameTracer, slots: &[usize]) -> Result<Vec<FrameImage>, Rend
         .map(|&slot| {
             tracer
                 .image(slot)
+                .filter(|_| tracer.is_current(slot))
                 .ok_or_else(|| refuse(format!("view {slot} has no samples to denoise")))
         })
         .collect()

@@ -293,8 +293,15 @@ impl FrameTracer {
         if !traces {
             return Ok(FrameWork::default());
         }
-        self.bind(mesh_depth)?;
-        self.record_dispatches(encoder, &kernels)
+        let recorded = self.bind(mesh_depth);
+        let recorded = recorded.and_then(|()| self.record_dispatches(encoder, &kernels));
+        if recorded.is_err() {
+            // Samples were counted that nobody made.
+            for slot in self.slots.iter_mut().filter(|slot| slot.is_traced()) {
+                slot.is_stale = true;
+            }
+        }
+        recorded
     }
 
     /// A frame goes by without [`Self::record`]: images that it wants anew stay as they are until

@@ -36,12 +36,13 @@ impl Split {
         let (rows, batch) = if whole <= most {
             (height, samples)
         } else {
+            let lanes = LANES_WANTED.min(per_row * u64::from(height)).max(1);
             let batch = match keeps_samples_together {
                 true => samples,
-                false => ((most / LANES_WANTED).max(1) as u32).min(samples),
+                false => ((most / lanes).max(1).min(u64::from(samples))) as u32,
             };
-            let rows = most / (per_row * u64::from(batch.max(1)));
-            (rows.min(u64::from(height)) as u32 / GROUP * GROUP, batch)
+            let fits = most / (per_row * u64::from(batch.max(1)));
+            (even_rows(height, fits), batch)
         };
         Self {
             area,
@@ -51,7 +52,7 @@ impl Split {
         }
     }
 
-    /// Origin and size of each tile, pixels; none where there is nothing to trace.
+    /// Origin and size of each tile, pixels, all but the last of one height; none where there is nothing to trace.
     pub(super) fn tiles(&self) -> impl Iterator<Item = [[u32; 2]; 2]> + use<> {
         let [left, top, right, bottom] = self.area;
         let rows = self.rows;
@@ -68,6 +69,17 @@ impl Split {
             .step_by(batch as usize)
             .map(move |first| [first, samples.min(first.saturating_add(batch))])
     }
+}
+
+/// As many rows of a tile, whole workgroups, that as few tiles as can be are about equally high:
+/// each costs dispatches of its own, and waits for its longest path.
+fn even_rows(height: u32, fits: u64) -> u32 {
+    if fits >= u64::from(height) {
+        return height;
+    }
+    let most = (fits as u32 / GROUP * GROUP).max(GROUP);
+    let tiles = height.div_ceil(most);
+    height.div_ceil(tiles).next_multiple_of(GROUP)
 }
 
 #[cfg(test)]
@@ -91,8 +103,15 @@ mod tests {
             ([8, 16, 7680, 4320], 2, 64, true),
             ([0, 0, 100, 100], 1, 1024, false),
             ([0, 7, 16_384, 9], 8, 1000, false),
+            ([0, 0, 500, 500], 1, 1024, false),
+            ([0, 0, 1440, 936], 2, 2, false),
         ] {
             let split = Split::new(area, views, samples, together, MOST);
+            let heights: Vec<u32> = split.tiles().map(|[_, [_, height]]| height).collect();
+            if let [first, .., last] = heights[..] {
+                let slack = 8 * heights.len() as u32;
+                assert!(last + slack >= first, "no slivers: {heights:?}");
+            }
             let mut next = area[1];
             let mut largest = 0;
             for [[x, y], [width, height]] in split.tiles() {
