@@ -1,6 +1,7 @@
 //! What the command line may ask for.
 
 use std::path::PathBuf;
+use std::str::FromStr;
 
 use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -384,6 +385,22 @@ pub struct ConvertArgs {
     pub lossy: bool,
 }
 
+/// Three numbers along x, y, z, with commas between them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Triple<T>(pub [T; 3]);
+
+impl<T: FromStr> FromStr for Triple<T> {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbers: Option<Vec<T>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+        let three = numbers.and_then(|numbers| <[T; 3]>::try_from(numbers).ok());
+        three
+            .map(Self)
+            .ok_or_else(|| "expected three numbers such as 256,256,120".into())
+    }
+}
+
 /// How to read a volume.
 #[derive(Clone, Debug, Default, Args)]
 pub struct InputArgs {
@@ -394,26 +411,14 @@ pub struct InputArgs {
     #[arg(long)]
     pub fill_missing_slices: bool,
     /// Voxels along x, y, z of a file without a header
-    #[arg(
-        long,
-        value_name = "X,Y,Z",
-        value_delimiter = ',',
-        num_args = 3,
-        requires = "raw_type"
-    )]
-    pub raw_dims: Option<Vec<u32>>,
+    #[arg(long, value_name = "X,Y,Z", requires = "raw_type")]
+    pub raw_dims: Option<Triple<u32>>,
     /// Type of its numbers: u8, i8, u16, i16, u32, i32, u64, i64, f32 or f64
     #[arg(long, value_name = "TYPE", requires = "raw_dims")]
     pub raw_type: Option<NumberType>,
     /// Its spacing along x, y, z in mm; 1 if left out
-    #[arg(
-        long,
-        value_name = "X,Y,Z",
-        value_delimiter = ',',
-        num_args = 3,
-        requires = "raw_dims"
-    )]
-    pub raw_spacing: Option<Vec<f64>>,
+    #[arg(long, value_name = "X,Y,Z", requires = "raw_dims")]
+    pub raw_spacing: Option<Triple<f64>>,
     /// Bytes before its first voxel
     #[arg(long, value_name = "BYTES", default_value_t = 0, requires = "raw_dims")]
     pub raw_offset: u64,
@@ -429,12 +434,10 @@ impl InputArgs {
         if let Some(choice) = &self.choice {
             options = options.with_choice(choice);
         }
-        if let (Some(&[x, y, z]), Some(number)) = (self.raw_dims.as_deref(), self.raw_type) {
-            let mut layout = RawLayout::new([x, y, z], number);
+        if let (Some(Triple(dims)), Some(number)) = (self.raw_dims, self.raw_type) {
+            let mut layout = RawLayout::new(dims, number);
             layout.offset = self.raw_offset;
-            if let Some(&[x, y, z]) = self.raw_spacing.as_deref() {
-                layout.spacing_mm = Some([x, y, z]);
-            }
+            layout.spacing_mm = self.raw_spacing.map(|Triple(spacing)| spacing);
             if self.raw_big_endian {
                 layout.endian = Endian::Big;
             }

@@ -15,7 +15,6 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<(), Failure> {
         };
         return Err(Failure::new(Exit::Output, error.to_string()));
     }
-    let part = part_of(&args.out);
     let bar = Bar::new("loading");
     let volume = holovol_volume::open_with(&args.file, &args.input.options(), &mut |progress| {
         bar.set(progress.fraction(), "");
@@ -24,6 +23,8 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<(), Failure> {
     for notice in volume.notices() {
         eprintln!("note: {notice}");
     }
+    let part = reserve_part(&args.out)
+        .map_err(|error| Failure::new(Exit::Output, format!("{}: {error}", args.out.display())))?;
     let written = holovol_volume::write(&volume, &part, args.lossy)
         .map_err(|error| error.to_string())
         .and_then(|()| put_in_place(&part, &args.out).map_err(|error| error.to_string()));
@@ -37,10 +38,21 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<(), Failure> {
     })
 }
 
-/// Where the file grows until it is whole: beside, with an ending that means the same format.
-fn part_of(path: &Path) -> PathBuf {
+/// Where the file grows until it is whole: beside, with an ending that means the same format, under
+/// a name that nobody had.
+fn reserve_part(path: &Path) -> std::io::Result<PathBuf> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    path.with_file_name(format!("part.{name}"))
+    let mut number = 0;
+    loop {
+        let part = path.with_file_name(format!("part{number}.{name}"));
+        match std::fs::File::create_new(&part) {
+            Ok(_) if !RawLayout::sidecar_path(&part).exists() => return Ok(part),
+            Ok(_) => std::fs::remove_file(&part)?,
+            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(error),
+        }
+        number += 1;
+    }
 }
 
 fn put_in_place(part: &Path, path: &Path) -> std::io::Result<()> {

@@ -163,6 +163,8 @@ pub struct ReplacedVoxels {
     pub nan: u64,
     /// ±infinity, now the finite maximum or minimum.
     pub infinite: u64,
+    /// What the file says was not measured, now the minimum.
+    pub padding: u64,
 }
 
 impl Volume {
@@ -228,6 +230,14 @@ impl Volume {
     /// The same volume with all display windows of its header, the preferred one first.
     pub fn with_header_windows(mut self, windows: Vec<HeaderWindow>) -> Self {
         self.header_windows = windows;
+        self
+    }
+
+    /// The same volume with word of so many voxels that its file calls padding; those that came as
+    /// NaN are counted as nothing else.
+    pub fn with_padding(mut self, padding: u64) -> Self {
+        self.replaced.padding = padding;
+        self.replaced.nan = self.replaced.nan.saturating_sub(padding);
         self
     }
 
@@ -437,6 +447,7 @@ fn make_finite(voxels: &mut Voxels, minimum_is_largest: bool) -> ([f64; 2], Repl
                 let replaced = ReplacedVoxels {
                     nan: r.nan + s.nan,
                     infinite: r.infinite + s.infinite,
+                    padding: 0,
                 };
                 (a.min(c), b.max(d), replaced)
             },

@@ -22,7 +22,7 @@ pub enum VolumeError {
         path: PathBuf,
     },
     /// No reader knows the file, by content or by name.
-    #[error("{}: {found}; expected one of these formats: {}", path.display(), supported_formats())]
+    #[error("{}: {found}; expected one of these formats: {}; voxels without a header need --raw-dims and --raw-type, or a sidecar beside them", path.display(), supported_formats())]
     UnknownFormat {
         /// The file.
         path: PathBuf,

@@ -20,6 +20,15 @@ pub(super) fn entry(
     let Some(choice) = options.choice.as_deref() else {
         return Ok(0);
     };
+    // Numbers go on where the list ends.
+    if let Some(number) = choice
+        .trim()
+        .parse()
+        .ok()
+        .filter(|n| (1..=count).contains(n))
+    {
+        return Ok(number - 1);
+    }
     let contents = contents(count, if count > 1 { kind } else { other });
     match chosen(choice, &contents) {
         Some(index) => Ok(index as u64),
@@ -46,4 +55,22 @@ pub(super) fn notice(count: u64, what: &str, entry: u64) -> String {
         "the file has {count} {what}: this is number {}; another can be chosen",
         entry + 1
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_beyond_the_list_can_be_chosen() {
+        let chosen = |choice: &str| {
+            let options = ReadOptions::default().with_choice(choice);
+            entry(&options, Path::new("a.nii"), 1200, "volume", "value").ok()
+        };
+        assert_eq!(
+            ["1", "1100", "1200"].map(chosen),
+            [Some(0), Some(1099), Some(1199)]
+        );
+        assert_eq!(["0", "1201", "x"].map(chosen), [None; 3]);
+    }
 }

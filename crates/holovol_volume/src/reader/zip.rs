@@ -4,9 +4,11 @@ use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use flate2::CrcReader;
 use flate2::bufread::DeflateDecoder;
 use zip::CompressionMethod;
 use zip::read::ZipArchive;
+use zip::result::ZipError;
 
 use super::dicom::{self, Files, OpenFile};
 use super::input::{DEFLATE_RATIO_MAX, read_at_most};
@@ -94,6 +96,57 @@ impl VolumeReader for ZipReader {
     }
 }
 
+/// Compares the check sum of a member that is read to its end.
+struct Checked<R> {
+    bytes: CrcReader<R>,
+    check_sum: u32,
+}
+
+impl<R: Read> Checked<R> {
+    fn new(bytes: R, check_sum: u32) -> Self {
+        Self {
+            bytes: CrcReader::new(bytes),
+            check_sum,
+        }
+    }
+}
+
+impl<R: Read> Read for Checked<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.bytes.read(buffer)?;
+        if count == 0 && !buffer.is_empty() && self.bytes.crc().sum() != self.check_sum {
+            let error = "the check sum of this member of the archive does not match";
+            return Err(io::Error::new(io::ErrorKind::InvalidData, error));
+        }
+        Ok(count)
+    }
+}
+
+/// What can't be read of an archive: what isn't understood is not damaged.
+fn failure(path: &Path, error: ZipError) -> VolumeError {
+    let what = match error {
+        ZipError::UnsupportedArchive(what) if what == ZipError::PASSWORD_REQUIRED => {
+            "a member of the archive that is locked with a password".into()
+        }
+        ZipError::InvalidPassword => "a member of the archive that is locked".into(),
+        ZipError::UnsupportedArchive(what) => format!("this archive ({what})"),
+        ZipError::CompressionMethodNotSupported(method) => {
+            format!("a member of the archive that is packed by method {method}")
+        }
+        error => {
+            return VolumeError::Damaged {
+                path: path.into(),
+                source: io::Error::other(error),
+            };
+        }
+    };
+    VolumeError::Unsupported {
+        path: path.into(),
+        what,
+        way_out: "unpack it with another program and open what was in it".into(),
+    }
+}
+
 /// The members of an archive.
 struct ZipFiles<'a> {
     path: PathBuf,
@@ -115,10 +168,7 @@ impl<'a> ZipFiles<'a> {
     fn open(input: Input<'a>) -> Result<Self, VolumeError> {
         let path = input.path().to_path_buf();
         let source = input.into_source()?;
-        let damaged = |error: zip::result::ZipError| VolumeError::Damaged {
-            path: path.clone(),
-            source: io::Error::other(error),
-        };
+        let damaged = |error| failure(&path, error);
         let members_max = source.length() / BYTES_PER_MEMBER + MEMBERS_MIN;
         let check = |count: u64| {
             if count <= members_max {
@@ -216,13 +266,15 @@ impl<'a> ZipFiles<'a> {
         let mut archive = self.archive.clone();
         let mut file = archive
             .by_index(member.index)
-            .map_err(|error| VolumeError::Damaged {
-                path: name.clone(),
-                source: io::Error::other(error),
-            })?;
+            .map_err(|error| failure(&name, error))?;
         let wanted = at_most.min(member.size).min(MEMBER_BYTES_MAX);
         let bytes = read_at_most(file.by_ref(), wanted)
             .map_err(|source| VolumeError::decoding(&name, source))?;
+        // The check sum is compared where the crate is asked for what follows the last byte.
+        if wanted == member.size {
+            file.read(&mut [0])
+                .map_err(|source| VolumeError::decoding(&name, source))?;
+        }
         if (bytes.len() as u64) < wanted {
             return Err(VolumeError::Truncated {
                 path: name,
@@ -240,21 +292,21 @@ impl<'a> ZipFiles<'a> {
         let member = self.members.get(index).ok_or_else(missing)?;
         let size = member.size;
         let mut archive = self.archive.clone();
-        let damaged = |error: zip::result::ZipError| VolumeError::Damaged {
-            path: name.clone(),
-            source: io::Error::other(error),
-        };
-        let file = archive.by_index(member.index).map_err(damaged)?;
+        let file = archive
+            .by_index(member.index)
+            .map_err(|error| failure(&name, error))?;
         let start = file.data_start().ok_or_else(missing)?;
         let packed = file.compressed_size();
-        let method = file.compression();
+        let (method, check_sum) = (file.compression(), file.crc32());
         drop(file);
         let bytes = BufReader::new(self.source.cursor(start)).take(packed);
         Ok(if method == CompressionMethod::Stored {
-            Input::from_reader(&name, bytes, size.min(packed))
+            let checked = Checked::new(bytes, check_sum);
+            Input::from_reader(&name, checked, size.min(packed))
         } else {
             let at_most = size.min(packed.saturating_mul(DEFLATE_RATIO_MAX));
-            Input::from_reader(&name, DeflateDecoder::new(bytes), at_most)
+            let checked = Checked::new(DeflateDecoder::new(bytes), check_sum);
+            Input::from_reader(&name, checked, at_most)
         })
     }
 }

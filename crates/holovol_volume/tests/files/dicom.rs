@@ -243,11 +243,28 @@ fn scaling_window_padding_and_inversion_are_understood() {
     let volume = Study::new(&[signed]).volume();
     assert_eq!(values(&volume), [-2047.0, -1.0, 2047.0, 0.0]);
 
-    let padded = Slice::at(0.0, [5, 9, 63_536, 7]).with_number(0x0028_0120, 63_536);
-    assert_eq!(
-        values(&Study::new(&[padded]).volume()),
-        [5.0, 9.0, 5.0, 7.0]
-    );
+    // The lowest value, whichever number that is; told, and no NaN.
+    let padded = || Slice::at(0.0, [5, 9, 63_536, 7]).with_number(0x0028_0120, 63_536);
+    let falling = padded().with_text(0x0028_1053, "-1");
+    let other = Slice::at(1.0, [5; 4]).with_text(0x0028_1053, "3");
+    for (slices, expected) in [
+        (vec![padded()], vec![5.0, 9.0, 5.0, 7.0]),
+        (vec![falling], vec![-5.0, -9.0, -9.0, -7.0]),
+        (
+            vec![padded(), other],
+            vec![5.0, 9.0, 5.0, 7.0, 15.0, 15.0, 15.0, 15.0],
+        ),
+    ] {
+        let volume = Study::new(&slices).volume();
+        assert_eq!(values(&volume), expected);
+        assert_eq!((volume.replaced().padding, volume.replaced().nan), (1, 0));
+        assert!(
+            volume
+                .notices()
+                .iter()
+                .any(|notice| notice.contains("1 voxels are padding"))
+        );
+    }
 
     let inverted = Slice::at(0.0, [5, 9, 6, 7]).with_text(0x0028_0004, "MONOCHROME1");
     let volume = Study::new(&[inverted]).volume();
@@ -272,6 +289,24 @@ fn doses_are_scaled() {
     let volume = Study::new(&[slice(0.0), slice(1.0)]).volume();
     assert_eq!(volume.range(), [2.0, 2.0]);
     assert_eq!(volume.unit(), Some("Gy"));
+    // Some write a scaling of 1 besides.
+    let slice = |z: f64| {
+        let slice = Slice::at(z, [8; 4]).with_text(0x3004_000e, "0.25");
+        slice.with_text(0x0028_1053, "1")
+    };
+    assert_eq!(
+        Study::new(&[slice(0.0), slice(1.0)]).volume().range(),
+        [2.0, 2.0]
+    );
+}
+
+#[test]
+fn images_of_one_name_at_several_places_are_all_read() {
+    let slice = |z: f64, value| Slice::at(z, [value; 4]).with_text(0x0008_0018, "1.2.3.4");
+    let twice = [slice(0.0, 1), slice(1.0, 2), slice(2.0, 3), slice(2.0, 3)];
+    let volume = Study::new(&twice).volume();
+    assert_eq!(volume.dims(), [2, 2, 3]);
+    assert_eq!(volume.range(), [1.0, 3.0]);
 }
 
 #[test]
@@ -287,7 +322,9 @@ fn units_are_those_that_dicom_defines() {
         volume.unit().map(str::to_owned)
     };
     let (modality, kind, pet) = (0x0008_0060, 0x0028_1054, 0x0054_1001);
-    assert_eq!(unit(&[(modality, "CT")]).as_deref(), Some("HU"));
+    let slope = (0x0028_1053, "1");
+    assert_eq!(unit(&[(modality, "CT"), slope]).as_deref(), Some("HU"));
+    assert_eq!(unit(&[(modality, "CT")]), None);
     assert_eq!(unit(&[(modality, "CT"), (kind, "US")]), None);
     assert_eq!(unit(&[(modality, "MR")]), None);
     assert_eq!(

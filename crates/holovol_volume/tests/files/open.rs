@@ -165,6 +165,37 @@ fn what_macos_adds_to_archives_is_no_second_volume() {
 }
 
 #[test]
+fn damage_in_archives_is_found_by_their_check_sums() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("a.zip");
+    let nifti = Nifti::new(false, false, 4, &[3], &[1i16, 2, 0x1234]).bytes();
+    let dicom = crate::formats::folder().join("dicom_explicit/1.dcm");
+    let dicom = fs::read(dicom).expect("the phantom");
+    for (name, bytes) in [("a.nii", nifti), ("a.dcm", dicom)] {
+        let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+        let options = zip::write::SimpleFileOptions::default()
+            .compression_method(zip::CompressionMethod::Stored);
+        archive.start_file(name, options).expect("written");
+        archive.write_all(&bytes).expect("written");
+        let mut whole = archive.finish().expect("written").into_inner();
+        fs::write(&path, &whole).expect("written");
+        open(&path, &mut |_| {}).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let end = whole.windows(bytes.len()).position(|part| part == bytes);
+        let end = end.expect("it is stored") + bytes.len();
+        whole[end - 1] ^= 1;
+        fs::write(&path, &whole).expect("written");
+        let error = open(&path, &mut |_| {})
+            .err()
+            .map(|error| error.to_string());
+        let text = error.unwrap_or_default().to_lowercase();
+        assert!(
+            text.contains("checksum") || text.contains("check sum"),
+            "{name}: {text}"
+        );
+    }
+}
+
+#[test]
 fn compressions_of_tiff_that_are_not_read_are_named() {
     let bytes = fs::read(crate::formats::folder().join("white.tif")).expect("the phantom");
     let entry = [3, 1, 3, 0, 1, 0, 0, 0];

@@ -109,50 +109,61 @@ impl Conversion {
     }
 }
 
-/// The lowest number that is no padding, and whether there is padding.
+/// The ends of the stored numbers that are no padding, and how many are padding.
 #[derive(Clone, Copy)]
-pub(super) struct Lowest<T> {
-    pub value: Option<T>,
-    pub has_padding: bool,
+pub(super) struct Extremes<T> {
+    pub ends: Option<[T; 2]>,
+    pub padding: u64,
 }
 
-impl<T> Default for Lowest<T> {
+impl<T> Default for Extremes<T> {
     fn default() -> Self {
         Self {
-            value: None,
-            has_padding: false,
+            ends: None,
+            padding: 0,
         }
     }
 }
 
-impl<T: Stored> Lowest<T> {
+impl<T: Stored> Extremes<T> {
     pub fn of(chunk: &[T], conversion: &Conversion) -> Self {
-        // With a scaling of its own, a slice has NaN for padding.
-        let Some(padding) = conversion.padding.filter(|_| conversion.scaling.is_none()) else {
+        let Some(padding) = conversion.padding else {
             return Self::default();
         };
-        chunk.iter().fold(Self::default(), |lowest, &voxel| {
-            lowest.and(if voxel.is_padding(padding) {
+        if conversion.scaling.is_some() {
+            // With a scaling of its own, a slice of integers has NaN for padding.
+            let is_padding = |voxel: &&T| !conversion.pixels.float && voxel.to_f64().is_nan();
+            return Self {
+                ends: None,
+                padding: chunk.iter().filter(is_padding).count() as u64,
+            };
+        }
+        chunk.iter().fold(Self::default(), |extremes, &voxel| {
+            extremes.and(if voxel.is_padding(padding) {
                 Self {
-                    value: None,
-                    has_padding: true,
+                    ends: None,
+                    padding: 1,
                 }
             } else {
                 Self {
-                    value: Some(voxel),
-                    has_padding: false,
+                    ends: Some([voxel; 2]),
+                    padding: 0,
                 }
             })
         })
     }
 
     pub fn and(self, other: Self) -> Self {
+        let ends = match (self.ends, other.ends) {
+            (Some([low, high]), Some([low_too, high_too])) => Some([
+                if low_too < low { low_too } else { low },
+                if high_too > high { high_too } else { high },
+            ]),
+            (ends, others) => ends.or(others),
+        };
         Self {
-            value: match (self.value, other.value) {
-                (Some(a), Some(b)) => Some(if b < a { b } else { a }),
-                (a, b) => a.or(b),
-            },
-            has_padding: self.has_padding || other.has_padding,
+            ends,
+            padding: self.padding + other.padding,
         }
     }
 }

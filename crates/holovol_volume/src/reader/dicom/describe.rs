@@ -347,9 +347,10 @@ impl HeaderReader {
                 && let (Some(first), Some([row, column])) = (position, axes)
                 && count > 1
             {
+                // Offsets that don't begin with 0 are places along the patient's z (C.8.8.3.2).
                 let offset = offsets
                     .as_ref()
-                    .and_then(|offsets| offsets.get(index).copied())
+                    .and_then(|offsets| Some(offsets.get(index)? - offsets.first()?))
                     .or(between.map(|between| between * index as f64));
                 position = offset.map(|offset| first + row.cross(column) * offset);
             }
@@ -365,13 +366,13 @@ impl HeaderReader {
                     tags::SLICE_THICKNESS,
                 )?,
                 between,
-                slope: or_top(
-                    self.number(transform, tags::RESCALE_SLOPE)?,
-                    tags::RESCALE_SLOPE,
-                )?
-                .or(dose)
-                .filter(|&slope| slope != 0.0)
-                .unwrap_or(1.0),
+                slope: dose
+                    .or(or_top(
+                        self.number(transform, tags::RESCALE_SLOPE)?,
+                        tags::RESCALE_SLOPE,
+                    )?)
+                    .filter(|&slope| slope != 0.0)
+                    .unwrap_or(1.0),
                 intercept: or_top(
                     self.number(transform, tags::RESCALE_INTERCEPT)?,
                     tags::RESCALE_INTERCEPT,
@@ -455,19 +456,24 @@ fn unit(dataset: &Dataset<'_>) -> Option<&'static str> {
         .or_else(|| transform(first))
         .or_else(|| transform(shared));
     let is = |tag: Tag, value: &str| dataset.text(tag).is_some_and(|text| text == value);
+    let is_scaled = dataset.text(tags::RESCALE_SLOPE).is_some()
+        || [first, shared].into_iter().flatten().any(|group| {
+            group
+                .item(tags::PIXEL_TRANSFORM_SEQUENCE)
+                .is_some_and(|transform| transform.text(tags::RESCALE_SLOPE).is_some())
+        });
     Some(match of_scaling.as_deref() {
         Some("HU" | "HU_MOD") => "HU",
         Some("OD") => "10⁻³ OD",
         Some("MGML") => "mg/ml",
         Some("PCT") => "%",
         Some("ED") => "10²³/ml",
-        Some("EDW") => "10²³/ml of water",
         _ if is(tags::UNITS, "BQML") => "Bq/ml",
         _ if is(tags::UNITS, "GML") => "g/ml",
         _ if is(tags::UNITS, "CNTS") => "counts",
         _ if is(tags::DOSE_UNITS, "GY") => "Gy",
-        // Type 2 in the CT module: where it is missing, it is HU.
-        None if is(tags::MODALITY, "CT") => "HU",
+        // CT's images must name it if it is another (C.8.2.1); they do if they are scaled at all.
+        None if is(tags::MODALITY, "CT") && is_scaled => "HU",
         _ => return None,
     })
 }

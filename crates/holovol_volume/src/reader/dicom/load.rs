@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use super::codec::{self, Numbers};
-use super::convert::{Conversion, Lowest, Stored, StoredKind};
+use super::convert::{Conversion, Extremes, Stored, StoredKind};
 use super::files::Files;
 use super::frames::FrameFile;
 use super::header::{Image, Photometric};
@@ -72,6 +72,8 @@ pub(super) fn load(
         options,
         same_scaling,
         rounded: AtomicBool::new(false),
+        padding: AtomicU64::new(0),
+        falls: scaling(first).0 < 0.0,
     };
     let voxels = match kind {
         StoredKind::U8 => loading.voxels(progress).map(Voxels::U8),
@@ -86,6 +88,7 @@ pub(super) fn load(
     }
     let voxels = voxels?;
     let rounded = loading.rounded.load(Ordering::Relaxed) || fill;
+    let padding = loading.padding.load(Ordering::Relaxed);
 
     let (slope, intercept) = if same_scaling {
         scaling(first)
@@ -120,7 +123,13 @@ pub(super) fn load(
     let windows = windows(study, &stack.slices, image, &volume);
     volume = volume
         .with_header_windows(windows)
-        .with_unit(image.unit.unwrap_or_default());
+        .with_unit(image.unit.unwrap_or_default())
+        .with_padding(padding);
+    if padding > 0 {
+        volume = volume.with_notice(format!(
+            "{padding} voxels are padding, where nothing was measured: they have the lowest value"
+        ));
+    }
     for notice in notices(study, series, image, fill, same_scaling) {
         volume = volume.with_notice(notice);
     }
@@ -171,6 +180,10 @@ struct Loading<'a> {
     options: &'a ReadOptions,
     same_scaling: bool,
     rounded: AtomicBool,
+    /// Voxels.
+    padding: AtomicU64,
+    /// The higher a number, the lower the value.
+    falls: bool,
 }
 
 impl<'a> Loading<'a> {
@@ -190,7 +203,7 @@ impl<'a> Loading<'a> {
         let frame_bytes = (self.frame_len * size_of::<T>()) as u64;
         let total_bytes = frame_bytes * self.stack.len() as u64;
         let mut bytes = 0;
-        let mut lowest = Lowest::default();
+        let mut extremes = Extremes::default();
         let work = voxels
             .chunks_exact_mut(self.frame_len)
             .zip(&self.places)
@@ -206,16 +219,17 @@ impl<'a> Loading<'a> {
                 self.frame(chunk, slice, &opened)
             },
             |of_frame| {
-                lowest = lowest.and(of_frame);
+                extremes = extremes.and(of_frame);
                 bytes += frame_bytes;
                 progress(Progress { bytes, total_bytes });
                 Ok(())
             },
         )?;
         // Padding counts as the lowest of what was measured, as NaN does.
-        if let (true, Some(value)) = (lowest.has_padding, lowest.value) {
-            self.replace_padding(&mut voxels, value);
+        if let (1.., Some([low, high])) = (extremes.padding, extremes.ends) {
+            self.replace_padding(&mut voxels, if self.falls { high } else { low });
         }
+        self.padding.store(extremes.padding, Ordering::Relaxed);
         self.interpolate(&mut voxels);
         Ok(voxels)
     }
@@ -271,7 +285,7 @@ impl<'a> Loading<'a> {
         chunk: &mut [T],
         slice: &Slice,
         opened: &[OnceLock<FrameFile<'a>>],
-    ) -> Result<Lowest<T>, VolumeError> {
+    ) -> Result<Extremes<T>, VolumeError> {
         let changed = || VolumeError::Changed {
             path: self.path.into(),
         };
@@ -330,7 +344,7 @@ impl<'a> Loading<'a> {
                 }
             }
         }
-        Ok(Lowest::of(chunk, &conversion))
+        Ok(Extremes::of(chunk, &conversion))
     }
 
     fn convert_bytes<T: Stored>(

@@ -3,6 +3,8 @@
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
+use glam::DVec3;
+
 use super::files::Files;
 use super::header::{self, Image, Photometric, Pixels};
 use super::stack::{Slice, Stack};
@@ -55,10 +57,13 @@ impl Study {
             },
         )?;
         images.sort_by_key(|image| image.file);
-        // The same image twice, under two names.
+        // The same image twice, under two names; not what only has the same name, as anonymisers do.
         let mut seen = HashSet::new();
         images.retain(|image| {
-            image.instance_uid.is_empty() || seen.insert(image.instance_uid.clone())
+            let places = image.frames.iter().map(|frame| frame.position);
+            let place = |at: DVec3| at.to_array().map(f64::to_bits);
+            let places: Vec<_> = places.map(|at| at.map(place)).collect();
+            image.instance_uid.is_empty() || seen.insert((image.instance_uid.clone(), places))
         });
 
         let mut unreadable: Vec<(String, usize)> = Vec::new();

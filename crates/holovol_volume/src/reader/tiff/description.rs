@@ -75,16 +75,51 @@ impl Description {
         if let Some(page) = self.pages.get(&[slice, channel, time]) {
             return *page;
         }
-        let mut page = 0;
-        for axis in self.order.iter().rev() {
-            let (index, size) = match axis {
-                Axis::Slice => (slice, self.slices),
-                Axis::Channel => (channel, self.channels),
-                Axis::Time => (time, self.times),
-            };
-            page = page * size + index;
+        self.in_order([slice, channel, time])
+    }
+
+    fn size(&self, axis: &Axis) -> usize {
+        match axis {
+            Axis::Slice => self.slices,
+            Axis::Channel => self.channels,
+            Axis::Time => self.times,
         }
-        page
+    }
+
+    /// How many planes (slice, channel, time) come before one in the order of the axes.
+    fn in_order(&self, [slice, channel, time]: [usize; 3]) -> usize {
+        self.order.iter().rev().fold(0, |before, axis| {
+            let index = match axis {
+                Axis::Slice => slice,
+                Axis::Channel => channel,
+                Axis::Time => time,
+            };
+            before * self.size(axis) + index
+        })
+    }
+
+    /// The same, of a plane that there is.
+    fn place(&self, plane: [usize; 3]) -> Option<usize> {
+        let sizes = [self.slices, self.channels, self.times];
+        let is_inside = plane.iter().zip(sizes).all(|(&index, size)| index < size);
+        self.planes()?;
+        is_inside.then(|| self.in_order(plane))
+    }
+
+    /// The plane before which so many come.
+    fn plane(&self, mut place: usize) -> [usize; 3] {
+        let mut plane = [0; 3];
+        for axis in &self.order {
+            let size = self.size(axis).max(1);
+            let index = match axis {
+                Axis::Slice => 0,
+                Axis::Channel => 1,
+                Axis::Time => 2,
+            };
+            plane[index] = place % size;
+            place /= size;
+        }
+        plane
     }
 
     /// Planes in all, if that can be counted.
@@ -132,6 +167,9 @@ fn imagej(text: &str) -> Option<Description> {
         is_imagej: true,
     })
 }
+
+/// A page's directory alone takes as many bytes, whatever it holds.
+const PAGE_BYTES_MIN: usize = 64;
 
 fn ome(text: &str, length: u64) -> Option<Description> {
     // Elements begin with the one, attributes hold the other.
@@ -202,6 +240,8 @@ fn ome(text: &str, length: u64) -> Option<Description> {
         node.attribute(name).and_then(|n| n.parse::<usize>().ok())
     };
     let mut names = Vec::new();
+    // A page takes more bytes than that.
+    let mut planes_left = (length as usize / PAGE_BYTES_MIN).saturating_add(1024);
     for data in children("TiffData") {
         let uuid = data
             .children()
@@ -210,14 +250,20 @@ fn ome(text: &str, length: u64) -> Option<Description> {
             names.push(name.to_owned());
         }
         let plane = ["FirstZ", "FirstC", "FirstT"].map(|name| number(&data, name).unwrap_or(0));
-        let is_single = number(&data, "PlaneCount").is_none_or(|count| count == 1)
-            && data.attribute("IFD").is_some();
-        if let (true, Some(page)) = (is_single, number(&data, "IFD")) {
-            let [slice, channel, time] = plane;
-            let is_inside = slice < description.slices
-                && channel < description.channels
-                && time < description.times;
-            if is_inside && description.page(slice, channel, time) != page {
+        let Some(first_page) = number(&data, "IFD") else {
+            continue;
+        };
+        // The planes after the first follow in the order of the axes.
+        let count = number(&data, "PlaneCount").unwrap_or(1).min(planes_left);
+        planes_left -= count;
+        let Some(first) = description.place(plane) else {
+            continue;
+        };
+        let planes = description.planes().unwrap_or(0);
+        for step in 0..count.min(planes.saturating_sub(first)) {
+            let plane @ [slice, channel, time] = description.plane(first + step);
+            let page = first_page.saturating_add(step);
+            if description.page(slice, channel, time) != page {
                 description.pages.insert(plane, page);
             }
         }
@@ -259,6 +305,16 @@ mod tests {
         assert_eq!((found.slices, found.channels, found.times), (5, 2, 3));
         assert_eq!(found.page(3, 1, 2), 1 + 2 * (3 + 5 * 2));
         assert_eq!(found.page(1, 0, 0), 7);
+        // Channels in blocks: the first one lies behind the second.
+        let blocks = text.replace("XYCZT", "XYZCT").replace(
+            "<TiffData IFD=\"7\" FirstZ=\"1\" FirstC=\"0\" FirstT=\"0\" PlaneCount=\"1\"/>",
+            "<TiffData IFD=\"5\" FirstC=\"0\" PlaneCount=\"5\"/>\
+             <TiffData IFD=\"0\" FirstC=\"1\" PlaneCount=\"5\"/>",
+        );
+        let found = Description::parse(&blocks, 1000).expect("it is OME");
+        assert_eq!([0, 1, 4].map(|slice| found.page(slice, 0, 0)), [5, 6, 9]);
+        assert_eq!([0, 1, 4].map(|slice| found.page(slice, 1, 0)), [0, 1, 4]);
+        assert_eq!(found.page(2, 0, 1), 12);
         assert_eq!(found.spacing, [Some(5e-7), None, Some(2e-9)]);
     }
 
