@@ -301,6 +301,41 @@ fn doses_are_scaled() {
 }
 
 #[test]
+fn diffusion_weightings_are_kept_apart() {
+    // In another order at each place.
+    let slice = |z: f64, b: f64, number: u16| {
+        let mut slice = Slice::at(z, [b as u16 + z as u16; 4]);
+        slice.put(0x0018_9087, b.to_le_bytes().to_vec());
+        let slice = slice.with_text(0x0008_0018, &format!("1.{z}.{b}"));
+        slice.with_text(0x0020_0013, &number.to_string())
+    };
+    let study = Study::new(&[
+        slice(0.0, 0.0, 1),
+        slice(0.0, 1000.0, 2),
+        slice(1.0, 1000.0, 3),
+        slice(1.0, 0.0, 4),
+    ]);
+    let listed = contents(study.path(), &ReadOptions::default()).expect("a list");
+    assert_eq!(listed.len(), 2, "{listed:?}");
+    assert!(
+        listed
+            .iter()
+            .any(|c| c.description.contains("b = 1000 s/mm²")),
+        "{listed:?}"
+    );
+    let mut ranges: Vec<_> = ["1", "2"]
+        .map(|choice| {
+            let options = ReadOptions::default().with_choice(choice);
+            open_with(study.path(), &options, &mut |_| {})
+                .expect("it is there")
+                .range()
+        })
+        .into();
+    ranges.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    assert_eq!(ranges, [[0.0, 1.0], [1000.0, 1001.0]]);
+}
+
+#[test]
 fn images_of_one_name_at_several_places_are_all_read() {
     let slice = |z: f64, value| Slice::at(z, [value; 4]).with_text(0x0008_0018, "1.2.3.4");
     let twice = [slice(0.0, 1), slice(1.0, 2), slice(2.0, 3), slice(2.0, 3)];

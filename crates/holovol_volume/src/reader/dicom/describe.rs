@@ -356,6 +356,10 @@ impl HeaderReader {
             }
             let echo = group(tags::MR_ECHO_SEQUENCE)
                 .and_then(|echo| echo.double(tags::EFFECTIVE_ECHO_TIME));
+            let b_value = match group(tags::MR_DIFFUSION_SEQUENCE) {
+                Some(diffusion) => diffusion.double(tags::B_VALUE),
+                None => dataset.double(tags::B_VALUE),
+            };
             frames.push(Frame {
                 index: index as u32,
                 position,
@@ -384,6 +388,7 @@ impl HeaderReader {
                     Some(echo) if echo.is_finite() => echo,
                     _ => self.number(dataset, tags::ECHO_TIME)?.unwrap_or(0.0),
                 },
+                b_value: b_value.filter(|b| b.is_finite()).unwrap_or(0.0),
                 temporal: match content
                     .and_then(|content| content.unsigned_32(tags::TEMPORAL_POSITION_INDEX))
                 {

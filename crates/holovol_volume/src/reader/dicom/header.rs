@@ -95,6 +95,8 @@ pub(super) struct Frame {
     pub instance: f64,
     pub location: Option<f64>,
     pub echo: f64,
+    /// Diffusion weighting, s/mm².
+    pub b_value: f64,
     pub temporal: f64,
     pub acquisition: f64,
 }

@@ -132,6 +132,7 @@ struct Kind {
     inverted: bool,
     is_localizer: bool,
     echo: u64,
+    b_value: u64,
     temporal: u64,
 }
 
@@ -154,6 +155,7 @@ impl Kind {
             inverted: image.photometric == Photometric::Monochrome1,
             is_localizer: image.is_localizer,
             echo: slice.frame.echo.to_bits(),
+            b_value: slice.frame.b_value.to_bits(),
             temporal: slice.frame.temporal.to_bits(),
         }
     }
@@ -254,6 +256,9 @@ fn describe(image: &Image, stack: &Stack) -> Content {
     if let Some(slice) = stack.slices.first() {
         if slice.frame.echo > 0.0 && image.modality == "MR" {
             parts.push(format!("echo at {} ms", slice.frame.echo));
+        }
+        if slice.frame.b_value > 0.0 {
+            parts.push(format!("b = {} s/mm²", slice.frame.b_value));
         }
         if slice.frame.temporal > 0.0 {
             parts.push(format!("time {}", slice.frame.temporal));
