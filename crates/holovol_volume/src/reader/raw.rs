@@ -1,8 +1,10 @@
 //! Voxels without a header: their layout comes from the user, or from a sidecar `FILE.json`.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
 use super::decode::{self, Decoded, Layout};
@@ -82,16 +84,12 @@ fn is_zero_f64(number: &f64) -> bool {
     *number == 0.0
 }
 
-/// A scene that was saved under its scan's name lies where a sidecar would.
-fn is_scene(text: &str) -> bool {
-    #[derive(Deserialize)]
-    struct Scene {
-        #[serde(rename = "volume")]
-        _volume: serde::de::IgnoredAny,
-        #[serde(rename = "camera")]
-        _camera: serde::de::IgnoredAny,
-    }
-    serde_json::from_str::<Scene>(text).is_ok()
+/// What lies where a sidecar would, and is none: a scene that was saved under its scan's name, what
+/// other programs know of a scan.
+fn is_of_something_else(text: &str) -> bool {
+    const KEYS: [&str; 3] = ["dims", "type", "endian"];
+    serde_json::from_str::<BTreeMap<String, IgnoredAny>>(text)
+        .is_ok_and(|object| !KEYS.iter().any(|key| object.contains_key(*key)))
 }
 
 impl RawLayout {
@@ -132,7 +130,7 @@ impl RawLayout {
             return Ok(None);
         }
         let text = std::fs::read_to_string(&path).map_err(|e| VolumeError::io(&path, e))?;
-        if is_scene(&text) {
+        if is_of_something_else(&text) {
             return Ok(None);
         }
         serde_json::from_str(&text)

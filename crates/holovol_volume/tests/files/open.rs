@@ -165,6 +165,25 @@ fn what_macos_adds_to_archives_is_no_second_volume() {
 }
 
 #[test]
+fn other_programs_sidecars_are_passed_over() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let bytes = Nifti::new(false, false, 4, &[3], &[1i16, 2, 3]).bytes();
+    for name in ["a.nii", "a.raw"] {
+        let path = folder.path().join(name);
+        fs::write(&path, &bytes[if name == "a.raw" { 352 } else { 0 }..]).expect("written");
+        let sidecar = folder.path().join(format!("{name}.json"));
+        fs::write(&sidecar, r#"{ "Modality": "MR" }"#).expect("written");
+    }
+    let volume = open(&folder.path().join("a.nii"), &mut |_| {});
+    assert_eq!(
+        values(&volume.unwrap_or_else(|error| panic!("{error}"))),
+        [1.0, 2.0, 3.0]
+    );
+    let error = open(&folder.path().join("a.raw"), &mut |_| {}).err();
+    assert!(error.is_some_and(|error| error.to_string().contains("--raw-dims")));
+}
+
+#[test]
 fn damage_in_archives_is_found_by_their_check_sums() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("a.zip");
