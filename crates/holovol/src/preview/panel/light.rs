@@ -62,12 +62,10 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut PanelShown)
         ui.horizontal_wrapped(|ui| {
             for (index, found) in lights.iter().enumerate() {
                 let share = 100.0 * found.share;
-                ui.label(format!(
-                    "{}: {}, {share:.0} %",
-                    index + 1,
-                    name(found.class)
-                ))
-                .on_hover_text(whereabouts(found, light.rotation_deg));
+                let text = format!("{}: {}, {share:.0} %", index + 1, name(found.class));
+                // Not broken within.
+                ui.add(egui::Label::new(text).extend())
+                    .on_hover_text(whereabouts(found, light.rotation_deg));
             }
         });
     }
