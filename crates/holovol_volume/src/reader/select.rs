@@ -20,14 +20,8 @@ pub(super) fn entry(
     let Some(choice) = options.choice.as_deref() else {
         return Ok(0);
     };
-    // Numbers go on where the list ends.
-    if let Some(number) = choice
-        .trim()
-        .parse()
-        .ok()
-        .filter(|n| (1..=count).contains(n))
-    {
-        return Ok(number - 1);
+    if let Some(index) = numbered(choice, count) {
+        return Ok(index);
     }
     let contents = contents(count, if count > 1 { kind } else { other });
     match chosen(choice, &contents) {
@@ -38,6 +32,12 @@ pub(super) fn entry(
             contents,
         }),
     }
+}
+
+/// The index that a number from 1 to `count` names: numbers go on where lists end.
+pub(super) fn numbered(choice: &str, count: u64) -> Option<u64> {
+    let number: u64 = choice.trim().parse().ok()?;
+    (1..=count).contains(&number).then(|| number - 1)
 }
 
 /// Entries that have only numbers.

@@ -16,11 +16,15 @@ use tiff::{ColorType, TiffError};
 
 use super::options::{Content, chosen};
 use super::placement::{METRES_PER_MM, checked_spacing};
+use super::select::numbered;
 use super::source::{Source, SourceCursor};
 use super::{Input, NumberType, Progress, ReadOptions, VolumeReader, limits};
 use crate::{Geometry, SourceFormat, Volume, VolumeError, Voxels};
 use description::Description;
 use pixels::Reading;
+
+/// More channels and times than this are not listed one by one.
+const LISTED_MAX: usize = 1000;
 
 /// More pages than this are damage.
 const PAGES_MAX: usize = 1 << 20;
@@ -289,7 +293,18 @@ impl<'a> Stack<'a> {
         })
     }
 
-    /// Channels of the description times samples of a pixel, and times.
+    /// Channels of the description times samples of a pixel, times times.
+    fn count(&self) -> usize {
+        let channels = self
+            .description
+            .channels
+            .saturating_mul(self.page.samples.into());
+        channels
+            .saturating_mul(self.description.times)
+            .min(PAGES_MAX)
+    }
+
+    /// The first of them.
     fn contents(&self) -> Vec<Content> {
         let description = &self.description;
         let samples = usize::from(self.page.samples);
@@ -310,7 +325,7 @@ impl<'a> Stack<'a> {
                     description: what,
                     ..Content::default()
                 });
-                if contents.len() >= PAGES_MAX {
+                if contents.len() >= LISTED_MAX {
                     return contents;
                 }
             }
@@ -326,11 +341,13 @@ impl<'a> Stack<'a> {
         let contents = self.contents();
         let index = match &options.choice {
             None => 0,
-            Some(choice) => chosen(choice, &contents).ok_or_else(|| VolumeError::NoSuchChoice {
-                path: self.path.clone(),
-                choice: choice.clone(),
-                contents: contents.clone(),
-            })?,
+            Some(choice) => chosen(choice, &contents)
+                .or_else(|| Some(numbered(choice, self.count() as u64)? as usize))
+                .ok_or_else(|| VolumeError::NoSuchChoice {
+                    path: self.path.clone(),
+                    choice: choice.clone(),
+                    contents: contents.clone(),
+                })?,
         };
         let samples = usize::from(self.page.samples);
         let per_time = self.description.channels * samples;
@@ -359,7 +376,7 @@ impl<'a> Stack<'a> {
         if contents.len() > 1 {
             self.notices.push(format!(
                 "the file has {} channels and times: this is number {}; another can be chosen",
-                contents.len(),
+                self.count(),
                 index + 1
             ));
         }
