@@ -28,7 +28,9 @@ const GAP_MAX: f64 = 1.0;
 /// A thread of its own takes frames from [`LiveLight::camera`], and
 /// [`LightChain`](holovol_light::chain::LightChain) makes light of them. The environment's asset is
 /// replaced only when T (DESIGN §6) or a disc light says that the light changed; noise and the
-/// camera's exposure don't. Not in [`HolovolPlugins`](crate::HolovolPlugins): add it after them.
+/// camera's exposure don't. The first light becomes [`VolumeEnvironment::source`]; an app that sets
+/// another then keeps that, and returns by [`LiveLight::map`]. Not in
+/// [`HolovolPlugins`](crate::HolovolPlugins): add it after them.
 #[derive(Clone, Debug)]
 pub struct LiveLightPlugin {
     /// Texels across and down of the map; frames of other sizes are resampled.
@@ -99,6 +101,11 @@ pub struct LiveLight {
 }
 
 impl LiveLight {
+    /// The environment that follows the camera; without an asset before the first light.
+    pub fn map(&self) -> &Handle<EnvironmentAsset> {
+        &self.map
+    }
+
     /// Where a camera's thread puts its frames.
     pub fn camera(&self) -> LiveCamera {
         LiveCamera(Arc::clone(&self.shared))
@@ -238,10 +245,7 @@ fn take_in(
         *old = asset;
     } else {
         live.map = assets.add(asset);
-    }
-    let source = EnvironmentSource::Map(live.map.clone());
-    if environment.source != source {
-        environment.source = source;
+        environment.source = EnvironmentSource::Map(live.map.clone());
     }
 }
 

@@ -22,6 +22,10 @@ pub const TESTS: &[crate::Test] = &[
         "frames_that_do_not_fit_say_so_and_the_light_stays",
         frames_that_do_not_fit_say_so_and_the_light_stays,
     ),
+    (
+        "another_light_stays_while_the_camera_goes_on",
+        another_light_stays_while_the_camera_goes_on,
+    ),
 ];
 
 const PICTURE: usize = 96;
@@ -226,4 +230,38 @@ fn frames_that_do_not_fit_say_so_and_the_light_stays() {
         source,
         "still the same map"
     );
+}
+
+fn another_light_stays_while_the_camera_goes_on() {
+    let mut app = live_app(None);
+    let live = app.world().resource::<LiveLight>().camera();
+    let mut captured = Instant::now();
+    let mut send = |app: &mut App, code: u8, uploads: u64| {
+        // A change of light shows within some frames.
+        for _ in 0..60 {
+            captured += Duration::from_millis(33);
+            live.send(LiveFrame {
+                picture: LivePicture::Panorama {
+                    size: [128, 64],
+                    pixels: vec![[code; 3]; 128 * 64],
+                },
+                ev: Some(0.0),
+                captured,
+            });
+            let before = app.world().resource::<LiveLight>().frames;
+            wait_for(app, |live| live.frames > before);
+            if app.world().resource::<LiveLight>().uploads >= uploads {
+                return;
+            }
+        }
+        panic!("the change is not seen");
+    };
+    send(&mut app, 60, 1);
+    let map = EnvironmentSource::Map(app.world().resource::<LiveLight>().map().clone());
+    let source = |app: &App| app.world().resource::<VolumeEnvironment>().source.clone();
+    assert_eq!(source(&app), map);
+    let own = EnvironmentSource::Constant(LinearRgba::WHITE);
+    app.world_mut().resource_mut::<VolumeEnvironment>().source = own.clone();
+    send(&mut app, 160, 2);
+    assert_eq!(source(&app), own);
 }
