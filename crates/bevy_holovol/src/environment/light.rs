@@ -29,22 +29,55 @@ const SPECULAR_DRAWS: u32 = 64;
 /// What is being filtered, and the last that was.
 #[derive(Resource, Default)]
 pub(super) struct Filtering {
+    light: Filter<[Image; 2], [Handle<Image>; 2]>,
+    sky: Filter<Image, Handle<Image>>,
+}
+
+/// A map that is made into what Bevy takes.
+struct Filter<Made, Kept> {
     source: Option<Arc<EnvironmentMap>>,
-    task: Option<Task<Filtered>>,
-    images: Option<Images>,
+    task: Option<Task<Made>>,
+    kept: Option<Kept>,
 }
 
-#[derive(Clone)]
-struct Images {
-    diffuse: Handle<Image>,
-    specular: Handle<Image>,
-    sky: Handle<Image>,
+impl<Made, Kept> Default for Filter<Made, Kept> {
+    fn default() -> Self {
+        Self {
+            source: None,
+            task: None,
+            kept: None,
+        }
+    }
 }
 
-struct Filtered {
-    diffuse: Image,
-    specular: Image,
-    sky: Image,
+impl<Made: Send + 'static, Kept> Filter<Made, Kept> {
+    /// Takes in what is done, and begins if the map is another and this is wanted.
+    fn follow(
+        &mut self,
+        map: &Arc<EnvironmentMap>,
+        is_wanted: bool,
+        make: impl FnOnce(&EnvironmentMap) -> Made + Send + 'static,
+        keep: impl FnOnce(Made) -> Kept,
+    ) {
+        if let Some(made) = self.task.as_mut().and_then(check_ready) {
+            self.task = None;
+            self.kept = Some(keep(made));
+        }
+        // One at a time: live light is filtered as fast as that goes.
+        let is_same = |source: &Arc<EnvironmentMap>| Arc::ptr_eq(source, map);
+        if self.task.is_some() || self.source.as_ref().is_some_and(is_same) {
+            return;
+        }
+        if is_wanted {
+            let map = Arc::clone(map);
+            self.source = Some(Arc::clone(&map));
+            let task = AsyncComputeTaskPool::get().spawn(async move { make(&map) });
+            self.task = Some(task);
+        } else {
+            // Not to be seen for a moment when it is wanted again.
+            *self = Self::default();
+        }
+    }
 }
 
 /// What we gave a camera. Light that differs, or is gone, is the user's doing and stays so.
@@ -102,37 +135,27 @@ pub(super) fn update_map(
     }
 }
 
-/// Starts filtering when there is another map and a camera to light, and takes in what is done.
+/// Starts filtering when there is another map and a camera that is to have it, and takes in what is
+/// done.
 pub(super) fn filter(
     environment: Res<VolumeEnvironment>,
     current: Res<CurrentMap>,
     cameras: Query<(), (With<Camera3d>, With<VolumeRenderSettings>)>,
+    meshes: Query<(), With<Mesh3d>>,
     mut filtering: ResMut<Filtering>,
     mut images: ResMut<Assets<Image>>,
 ) {
-    if let Some(filtered) = filtering.task.as_mut().and_then(check_ready) {
-        filtering.task = None;
-        filtering.images = Some(Images {
-            diffuse: images.add(filtered.diffuse),
-            specular: images.add(filtered.specular),
-            sky: images.add(filtered.sky),
-        });
-    }
-    let is_wanted = (environment.lights_meshes || environment.is_sky) && !cameras.is_empty();
-    // One at a time: live light is filtered as fast as that goes.
-    if !is_wanted || filtering.task.is_some() {
-        return;
-    }
     let Some(map) = &current.0 else {
         return;
     };
-    let is_filtered = |source: &Arc<EnvironmentMap>| Arc::ptr_eq(source, map);
-    if !filtering.source.as_ref().is_some_and(is_filtered) {
-        let map = Arc::clone(map);
-        filtering.source = Some(Arc::clone(&map));
-        let task = AsyncComputeTaskPool::get().spawn(async move { filter_map(&map) });
-        filtering.task = Some(task);
-    }
+    let has_cameras = !cameras.is_empty();
+    let Filtering { light, sky } = &mut *filtering;
+    let lights = environment.lights_meshes && has_cameras && !meshes.is_empty();
+    light.follow(map, lights, mesh_light, |made| {
+        made.map(|image| images.add(image))
+    });
+    let is_seen = environment.is_sky && has_cameras;
+    sky.follow(map, is_seen, sky_cube, |made| images.add(made));
 }
 
 type Camera<'a> = (
@@ -151,9 +174,6 @@ pub(super) fn apply(
     filtering: Res<Filtering>,
     cameras: Query<Camera, (With<Camera3d>, With<VolumeRenderSettings>)>,
 ) {
-    let Some(images) = &filtering.images else {
-        return;
-    };
     let rotation = Quat::from_rotation_y(environment.rotation_y);
     for (entity, light, sky, our_light, our_sky, is_without) in &cameras {
         let mut camera = commands.entity(entity);
@@ -161,10 +181,13 @@ pub(super) fn apply(
             (Some(light), Some(ours)) => is_same_light(light, &ours.0),
             (light, ours) => light.is_none() && ours.is_none(),
         };
-        if is_ours && environment.lights_meshes {
+        let light_maps = filtering.light.kept.as_ref();
+        if let Some([diffuse, specular]) =
+            light_maps.filter(|_| is_ours && environment.lights_meshes)
+        {
             let wanted = EnvironmentMapLight {
-                diffuse_map: images.diffuse.clone(),
-                specular_map: images.specular.clone(),
+                diffuse_map: diffuse.clone(),
+                specular_map: specular.clone(),
                 intensity: environment.intensity,
                 rotation,
                 ..default()
@@ -172,7 +195,7 @@ pub(super) fn apply(
             if light.is_none_or(|light| !is_same_light(light, &wanted)) {
                 camera.try_insert((wanted.clone(), LitByEnvironment(wanted)));
             }
-        } else if is_ours && our_light.is_some() {
+        } else if is_ours && our_light.is_some() && !environment.lights_meshes {
             camera.try_remove::<(EnvironmentMapLight, LitByEnvironment)>();
         } else if !environment.lights_meshes && our_light.is_some() {
             camera.try_remove::<LitByEnvironment>();
@@ -182,16 +205,17 @@ pub(super) fn apply(
             (sky, ours) => sky.is_none() && ours.is_none(),
         };
         let has_sky = environment.is_sky && !is_without;
-        if is_ours && has_sky {
+        let sky_map = filtering.sky.kept.as_ref();
+        if let Some(image) = sky_map.filter(|_| is_ours && has_sky) {
             let wanted = Skybox {
-                image: Some(images.sky.clone()),
+                image: Some(image.clone()),
                 brightness: environment.intensity,
                 rotation,
             };
             if sky.is_none_or(|sky| !is_same_sky(sky, &wanted)) {
                 camera.try_insert((wanted.clone(), SkyOfEnvironment(wanted)));
             }
-        } else if is_ours && our_sky.is_some() {
+        } else if is_ours && our_sky.is_some() && !has_sky {
             camera.try_remove::<(Skybox, SkyOfEnvironment)>();
         } else if !has_sky && our_sky.is_some() {
             camera.try_remove::<SkyOfEnvironment>();
@@ -199,26 +223,29 @@ pub(super) fn apply(
     }
 }
 
-fn filter_map(map: &EnvironmentMap) -> Filtered {
-    let sky_size = (map.width() as u32 / 4)
-        .next_power_of_two()
-        .clamp(1, SKY_MAX_SIZE);
+/// For diffuse and for specular meshes.
+fn mesh_light(map: &EnvironmentMap) -> [Image; 2] {
     let pyramid = Pyramid::new(map);
     let grid = Grid::new(map);
     let specular_levels = SPECULAR_SIZE.ilog2() + 1;
-    Filtered {
-        diffuse: cube(DIFFUSE_SIZE, 1, |_, direction| {
+    [
+        cube(DIFFUSE_SIZE, 1, |_, direction| {
             grid.irradiance(direction) / PI
         }),
-        specular: cube(SPECULAR_SIZE, specular_levels, |level, direction| {
+        cube(SPECULAR_SIZE, specular_levels, |level, direction| {
             // As Bevy chooses levels: by perceptual roughness, from mirror to fully rough.
             let roughness = f64::from(level) / f64::from(specular_levels - 1);
             pyramid.reflection(direction, roughness)
         }),
-        sky: cube(sky_size, 1, |_, direction| {
-            DVec3::from(map.radiance(direction))
-        }),
-    }
+    ]
+}
+
+/// What is seen behind everything.
+fn sky_cube(map: &EnvironmentMap) -> Image {
+    let size = (map.width() as u32 / 4)
+        .next_power_of_two()
+        .clamp(1, SKY_MAX_SIZE);
+    cube(size, 1, |_, direction| DVec3::from(map.radiance(direction)))
 }
 
 /// A cube map of a function of level and direction, in half floats (suns are cut at their end).
@@ -401,9 +428,10 @@ mod tests {
 
     #[test]
     fn uniform_light_stays_as_it_is() {
-        let filtered = filter_map(&EnvironmentMap::constant([0.5, 2.0, 8.0]));
-        for image in [&filtered.diffuse, &filtered.specular, &filtered.sky] {
-            for pixel in half_floats(image).chunks(4) {
+        let map = EnvironmentMap::constant([0.5, 2.0, 8.0]);
+        let [diffuse, specular] = mesh_light(&map);
+        for image in [diffuse, specular, sky_cube(&map)] {
+            for pixel in half_floats(&image).chunks(4) {
                 for (value, expected) in pixel.iter().zip([0.5, 2.0, 8.0]) {
                     assert!((value / expected - 1.0).abs() < 2e-3, "{pixel:?}");
                 }

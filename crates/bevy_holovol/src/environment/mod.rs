@@ -54,8 +54,9 @@ pub struct VolumeEnvironment {
     pub intensity: f32,
     /// Turn about +y, radians, counter-clockwise seen from above.
     pub rotation_y: f32,
-    /// Gives the cameras Bevy's `EnvironmentMapLight` of it. One that you insert, before or after,
-    /// or change or remove, stays as you leave it; switch this off and on to have ours again.
+    /// Gives the cameras Bevy's `EnvironmentMapLight` of it as soon as there is a `Mesh3d`. One that
+    /// you insert, before or after, or change or remove, stays as you leave it; switch this off and
+    /// on to have ours again.
     pub lights_meshes: bool,
     /// Gives the cameras Bevy's `Skybox` of it, with the same precedence: what you do to a camera's
     /// own stays. [`WithoutSky`] leaves it off one camera.

@@ -1,6 +1,7 @@
 //! Radiance, exposure, and the light that meshes stand in.
 
 use std::f32::consts::PI;
+use std::time::{Duration, Instant};
 
 use bevy::camera::Exposure;
 use bevy::core_pipeline::tonemapping::Tonemapping;
@@ -147,11 +148,20 @@ fn a_cameras_own_light_and_sky_stay() {
     let target = target(&mut app, 8, 8);
     let camera = spawn_camera(&mut app, &target, 2.0, settings(1));
     wait_for_sky(&mut app, camera);
-    let ours = app
-        .world()
-        .get::<EnvironmentMapLight>(camera)
-        .expect("our light")
-        .clone();
+    let our_light = |app: &App| app.world().get::<EnvironmentMapLight>(camera).cloned();
+    for _ in 0..20 {
+        std::thread::sleep(Duration::from_millis(10));
+        app.update();
+    }
+    assert!(our_light(&app).is_none(), "there is no mesh to light");
+    app.world_mut().spawn(Mesh3d::default());
+    let started = Instant::now();
+    while our_light(&app).is_none() {
+        assert!(started.elapsed() < Duration::from_secs(60), "no light");
+        std::thread::sleep(Duration::from_millis(2));
+        app.update();
+    }
+    let ours = our_light(&app).expect("our light");
     let mut images = app.world_mut().resource_mut::<Assets<Image>>();
     let own = EnvironmentMapLight::solid_color(&mut images, Color::WHITE);
     let own_sky = Skybox {
@@ -204,18 +214,24 @@ fn a_cameras_own_light_and_sky_stay() {
     assert!(sky.is_none(), "what was taken away stays away");
 }
 
-/// Until the camera has been given its sky, and its textures are uploaded.
+/// Until the camera has been given its sky and, where there are meshes, their light, and the
+/// textures are uploaded.
 #[track_caller]
 pub fn wait_for_sky(app: &mut App, camera: Entity) {
+    let mut meshes = app.world_mut().query::<&Mesh3d>();
     for _ in 0..10_000 {
         app.update();
-        if app.world().get::<bevy::light::Skybox>(camera).is_some() {
+        let world = app.world();
+        let is_lit = world.get::<EnvironmentMapLight>(camera).is_some()
+            || !world.resource::<VolumeEnvironment>().lights_meshes
+            || meshes.iter(world).next().is_none();
+        if is_lit && world.get::<Skybox>(camera).is_some() {
             for _ in 0..3 {
                 app.update();
             }
             return;
         }
-        std::thread::sleep(std::time::Duration::from_millis(5));
+        std::thread::sleep(Duration::from_millis(5));
     }
     panic!("no sky");
 }
