@@ -112,11 +112,16 @@ Examples:
   holovol preview
   holovol preview scan.nii.gz
   holovol preview scan.nii.gz bone.tf.json room.hdr
+  holovol preview scan.nii.gz --camera virtual:room.hdr
   holovol preview scene.json")]
 pub struct PreviewArgs {
     /// Scans, folders of DICOM files, scenes, *.tf.json, panoramas (*.hdr, *.exr, *.png, *.jpg)
     #[arg(value_name = "FILE")]
     pub files: Vec<PathBuf>,
+    /// Light by a 360° camera: a panorama or a folder of them, played again and again; `virtual` or
+    /// `virtual:ROOM.hdr` is one that isn't there, in a room that is a map
+    #[arg(long, value_name = "URI")]
+    pub camera: Option<String>,
     /// Size of the window, logical pixels
     #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x800", value_parser = window_size)]
     pub size: [u32; 2],

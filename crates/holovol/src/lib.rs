@@ -25,6 +25,8 @@ mod preview;
 mod progress;
 mod render;
 mod render_live;
+#[cfg(feature = "preview")]
+mod room_camera;
 mod thumbnail;
 #[cfg(feature = "xr")]
 mod xr;

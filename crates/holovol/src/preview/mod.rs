@@ -40,6 +40,7 @@ use bevy_holovol::prelude::*;
 
 use self::recovery::{RecoveryPlugin, Restored};
 use crate::cli::PreviewArgs;
+use crate::room_camera::{RoomCamera, RoomCameraPlugin, Source};
 use crate::{Exit, Failure};
 
 /// What is shown, and what became of the last wish.
@@ -60,6 +61,10 @@ enum Status {
     Failed(String),
 }
 
+/// Between frames where there is nothing to do, and where there is nothing to see of what is done.
+const ASLEEP: Duration = Duration::from_secs(1);
+const LOOKING_ON: Duration = Duration::from_millis(100);
+
 /// Files that the command line names, opened at the start.
 #[derive(Resource)]
 struct FirstFiles(Vec<PathBuf>);
@@ -79,13 +84,18 @@ pub(crate) fn run(args: &PreviewArgs) -> Result<(), Failure> {
         args.files = restored.files();
     }
     check_files(&args.files)?;
+    let camera = args.camera.as_deref().map(Source::find).transpose()?;
     // Bevy ends the process if there is no adapter: that is found out before, and said kindly.
     holovol_render::Gpu::new(None)?;
     let mut app = app(&args, |plugins| plugins);
     app.add_plugins(RecoveryPlugin {
         size: args.size,
+        camera: args.camera,
         restored,
     });
+    if let Some(camera) = camera {
+        app.add_plugins(RoomCameraPlugin(camera));
+    }
     match app.run() {
         AppExit::Success => Ok(()),
         AppExit::Error(_) => Err(Failure::new(
@@ -132,8 +142,8 @@ pub(crate) fn app(
         });
     app.add_plugins((adapt(plugins), EguiPlugin::default(), HolovolPlugins))
         .insert_resource(WinitSettings {
-            focused_mode: UpdateMode::reactive(Duration::from_secs(1)),
-            unfocused_mode: UpdateMode::reactive_low_power(Duration::from_secs(1)),
+            focused_mode: UpdateMode::reactive(ASLEEP),
+            unfocused_mode: UpdateMode::reactive_low_power(ASLEEP),
         })
         .insert_resource(FirstFiles(args.files.clone()))
         .insert_resource(FrameLimit(args.frames))
@@ -278,7 +288,7 @@ fn title(session: Res<Session>, mut windows: Query<&mut Window>) {
 }
 
 #[expect(clippy::too_many_arguments, reason = "all that there can be to do")]
-/// Asks for the next frame while there is something to do; else the app sleeps.
+/// Asks for the next frame while there is something to see; else the app sleeps.
 fn keep_drawing(
     statistics: Res<bevy_holovol::VolumeStatistics>,
     opening: Res<open::Opening>,
@@ -287,13 +297,29 @@ fn keep_drawing(
     applied: Res<studio::Applied>,
     pictures: Res<pictures::Pictures>,
     quality: Res<quality::Quality>,
+    room_camera: Option<Res<RoomCamera>>,
+    mut settings: ResMut<WinitSettings>,
     mut redraw: MessageWriter<RequestRedraw>,
 ) {
-    let is_tracing = studio.scan.is_some() && (!statistics.get().is_done || quality.is_paused());
-    let is_working = opening.is_busy() || pictures.progress().is_some();
+    let numbers = statistics.get();
+    let is_unfinished = studio.scan.is_some() && (!numbers.is_done || quality.is_paused());
+    let is_waiting = is_unfinished && numbers.is_waiting;
     let is_changing = applied.is_behind(&studio.look) || session.frames_left.is_some();
-    if is_tracing || is_working || is_changing {
+    if is_unfinished && !is_waiting || pictures.progress().is_some() || is_changing {
         redraw.write(RequestRedraw);
+    }
+    // Frames that only tell of work would hold it up. A camera's light comes by itself.
+    let is_looking_on = is_waiting || opening.is_busy() || room_camera.is_some();
+    let pace = if is_looking_on { LOOKING_ON } else { ASLEEP };
+    let WinitSettings {
+        focused_mode,
+        unfocused_mode,
+    } = &mut *settings;
+    for mode in [focused_mode, unfocused_mode] {
+        // A headset's frames are paced by it.
+        if let UpdateMode::Reactive { wait, .. } = mode {
+            *wait = pace;
+        }
     }
 }
 

@@ -27,6 +27,8 @@ use crate::{Exit, Failure, output};
 pub(crate) struct RecoveryPlugin {
     /// Those of the command line.
     pub(crate) size: [u32; 2],
+    /// `--camera`.
+    pub(crate) camera: Option<String>,
     pub(crate) restored: Option<Restored>,
 }
 
@@ -46,6 +48,7 @@ pub(crate) struct Restored {
 /// What a restart needs; the hook of panics has no other way to it.
 static VIEW: Mutex<View> = Mutex::new(View {
     size: [1280, 800],
+    camera: None,
     attempts: 0,
     started: None,
     scene: None,
@@ -53,6 +56,7 @@ static VIEW: Mutex<View> = Mutex::new(View {
 
 struct View {
     size: [u32; 2],
+    camera: Option<String>,
     attempts: u32,
     started: Option<Instant>,
     scene: Option<(String, bool)>,
@@ -70,6 +74,7 @@ impl Plugin for RecoveryPlugin {
             .map_or(0, |restored| restored.attempts);
         *view() = View {
             size: self.size,
+            camera: self.camera.clone(),
             attempts,
             started: Some(Instant::now()),
             scene: None,
@@ -185,6 +190,9 @@ fn restart(reason: &str) -> ! {
                 "--restore",
             ])
             .arg(file);
+        if let Some(camera) = &view.camera {
+            command.args(["--camera", camera]);
+        }
         replace(&mut command)
     });
     if let Err(error) = handed {
@@ -287,6 +295,7 @@ mod tests {
         studio.scan.as_mut().unwrap().path = Some("scans/blob.nrrd".into());
         let view = View {
             size: [640, 480],
+            camera: None,
             attempts: 0,
             started: None,
             scene: scene(&studio, Some(viewpoint())),

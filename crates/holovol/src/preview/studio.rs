@@ -158,7 +158,8 @@ pub(crate) fn apply(
         },
         intensity: look.intensity(),
         rotation_y: look.light.rotation_deg.to_radians() as f32,
-        is_sky: look.light.is_sky,
+        // Before there is a scan the light is nothing that anybody chose.
+        is_sky: look.light.is_sky && studio.scan.is_some(),
         // There are no meshes here.
         lights_meshes: false,
     });

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use bevy::app::PluginsState;
 use bevy::camera::{Exposure, RenderTarget};
@@ -25,9 +26,11 @@ use holovol_volume::{Geometry, TransferPoint, Volume, Voxels};
 use super::Session;
 use super::camera::Orbit;
 use super::look::{Light, LightSource, Look};
+use super::open::Opening;
 use super::pictures::{Order, Pictures};
 use super::scene_io::{self, Viewpoint};
 use super::studio::{Scan, Studio, StudioPlugin};
+use crate::room_camera::{RoomCamera, RoomCameraPlugin, Source};
 
 const SIZE: u32 = 40;
 const SAMPLES: u32 = 256;
@@ -111,6 +114,10 @@ fn orbit() -> Orbit {
 
 /// An app that shows the blob as the window's does, on an image; with that image.
 fn app() -> (App, Handle<Image>) {
+    app_with(|_: &mut App| {})
+}
+
+fn app_with(more: impl Plugin) -> (App, Handle<Image>) {
     let mut app = App::new();
     app.add_plugins(
         DefaultPlugins
@@ -127,7 +134,7 @@ fn app() -> (App, Handle<Image>) {
             .disable::<PipelinedRenderingPlugin>()
             .disable::<WinitPlugin>(),
     );
-    app.add_plugins((HolovolPlugins, StudioPlugin));
+    app.add_plugins((HolovolPlugins, StudioPlugin, more));
     while app.plugins_state() == PluginsState::Adding {
         bevy::tasks::tick_global_task_pools_on_main_thread();
     }
@@ -180,6 +187,60 @@ fn app() -> (App, Handle<Image>) {
     (app, target)
 }
 
+#[test]
+fn a_camera_lights_what_is_shown_until_another_light_is_chosen() {
+    if !has_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let [good, bad] = ["a.png", "b.png"].map(|name| folder.path().join(name));
+    let grey = image::Rgb([90; 3]);
+    image::RgbImage::from_pixel(64, 32, grey)
+        .save(&good)
+        .expect("a picture");
+    std::fs::write(&bad, "no picture").expect("a file");
+    let (mut app, _) = app_with(RoomCameraPlugin(Source::Frames(vec![good, bad])));
+    app.init_resource::<Opening>();
+    let wait_for = |app: &mut App, is_done: &dyn Fn(&World) -> bool| {
+        let started = Instant::now();
+        while !is_done(app.world()) {
+            assert!(started.elapsed() < Duration::from_secs(60), "nothing came");
+            std::thread::sleep(Duration::from_millis(2));
+            app.update();
+        }
+    };
+    let source = |world: &World| world.resource::<Studio>().look.light.source.clone();
+    let is_camera = |world: &World| world.resource::<RoomCamera>().is(&source(world));
+    assert!(!is_camera(app.world()));
+    wait_for(&mut app, &is_camera);
+    app.update();
+    let world = app.world();
+    let map = world.resource::<LiveLight>().map().clone();
+    let environment = world.resource::<VolumeEnvironment>();
+    assert_eq!(environment.source, EnvironmentSource::Map(map.clone()));
+    // Chalk in light from everywhere is as bright as the light.
+    let seen = world.resource::<Assets<EnvironmentAsset>>().get(&map);
+    let radiance = f64::from(seen.expect("its map").map().texels()[0][1]);
+    let shown = world.resource::<Studio>().look.exposure_ev.exp2() * radiance;
+    assert!((shown - 0.9).abs() < 0.02, "{shown}");
+    wait_for(&mut app, &|world| {
+        let problem = world.resource::<RoomCamera>().problem();
+        problem.is_some_and(|problem| problem.contains("b.png"))
+    });
+
+    // The user's own choice stays while the camera goes on.
+    let white = LightSource::Constant([1.0; 3]);
+    app.world_mut().resource_mut::<Studio>().look.light.source = white.clone();
+    let frames = app.world().resource::<LiveLight>().frames;
+    wait_for(&mut app, &|world| {
+        world.resource::<LiveLight>().frames > frames + 2
+    });
+    assert_eq!(source(app.world()), white);
+    let environment = app.world().resource::<VolumeEnvironment>();
+    let is_white = matches!(environment.source, EnvironmentSource::Constant(_));
+    assert!(is_white, "{:?}", environment.source);
+}
+
 /// What has been gathered: linear RGBA.
 fn accumulated(app: &mut App, target: &Handle<Image>) -> Vec<[f32; 4]> {
     const PATIENCE: usize = 20_000;
@@ -190,7 +251,7 @@ fn accumulated(app: &mut App, target: &Handle<Image>) -> Vec<[f32; 4]> {
         let statistics = app.world().resource::<VolumeStatistics>().get();
         assert_eq!(statistics.errors, Vec::<String>::new());
         if statistics.is_waiting {
-            std::thread::sleep(std::time::Duration::from_millis(5));
+            std::thread::sleep(Duration::from_millis(5));
         }
         if !statistics.is_done {
             continue;

@@ -6,7 +6,6 @@
 
 mod actions;
 mod hands;
-mod live;
 mod panel;
 mod picture;
 mod place;
@@ -23,11 +22,13 @@ use bevy_egui::{EguiGlobalSettings, EguiPlugin};
 use bevy_holovol::interaction::HandRecording;
 use bevy_holovol::prelude::*;
 use bevy_holovol::xr::{
-    EyeCamera, Headset, HeadsetBlend, HeadsetRequest, MixedRealitySettings, SimulatedHeadset,
+    EyeCamera, Headset, HeadsetBlend, HeadsetRequest, MixedRealityOrigin, MixedRealitySettings,
+    SimulatedHeadset,
 };
 
 use crate::cli::{PreviewArgs, XrArgs, XrBlend};
 use crate::preview::studio::Studio;
+use crate::room_camera::{RoomCamera, RoomCameraPlugin, Source};
 use crate::{Exit, Failure, preview};
 
 /// Shows scans in a headset until its session ends.
@@ -41,7 +42,7 @@ pub(crate) fn run(args: &XrArgs) -> Result<(), Failure> {
     };
     // With threads, no headset could be simulated any more.
     let wanted = Wanted {
-        camera: args.camera.as_deref().map(live::Source::find).transpose()?,
+        camera: args.camera.as_deref().map(Source::find).transpose()?,
         hands: args.hands.as_deref().map(hands::read).transpose()?,
     };
     let headset = match Headset::connect("holovol") {
@@ -103,6 +104,7 @@ impl XrArgs {
         PreviewArgs {
             files: self.files.clone(),
             size: [1280, 800],
+            camera: self.camera.clone(),
             frames: None,
             restore: None,
         }
@@ -111,7 +113,7 @@ impl XrArgs {
 
 /// What is read before the headset is looked for.
 struct Wanted {
-    camera: Option<live::Source>,
+    camera: Option<Source>,
     hands: Option<HandRecording>,
 }
 
@@ -144,10 +146,9 @@ fn join(app: &mut App, args: &XrArgs, wanted: Wanted) {
     .add_systems(Update, follow_look)
     .add_systems(Last, end_after_frames);
     if let Some(source) = wanted.camera {
-        app.add_plugins(live::CameraPlugin {
-            source,
-            turn: args.camera_turn.to_radians(),
-        });
+        app.add_plugins(RoomCameraPlugin(source))
+            .insert_resource(CameraTurn(args.camera_turn.to_radians()))
+            .add_systems(Update, turn_light);
     }
     if let Some(recording) = wanted.hands {
         app.add_plugins(hands::PlayPlugin(recording));
@@ -165,6 +166,29 @@ impl XrArgs {
         let is_silent = !preview::has_display() || self.no_window;
         let default = (self.simulate && is_silent).then(|| "holovol-xr".into());
         self.out.clone().or(default)
+    }
+}
+
+/// What the camera's panorama is turned by about +y, radians, against the tracking space.
+#[derive(Resource)]
+struct CameraTurn(f32);
+
+/// The camera stands in the room; the user's place in the world is turned against it.
+fn turn_light(
+    turn: Res<CameraTurn>,
+    camera: Res<RoomCamera>,
+    origin: Query<&Transform, With<MixedRealityOrigin>>,
+    mut studio: ResMut<Studio>,
+) {
+    if !camera.is(&studio.look.light.source) {
+        return;
+    }
+    let yaw = origin
+        .single()
+        .map_or(0.0, |o| o.rotation.to_euler(EulerRot::YXZ).0);
+    let degrees = f64::from((yaw + turn.0).to_degrees());
+    if (studio.look.light.rotation_deg - degrees).abs() > 1e-4 {
+        studio.look.light.rotation_deg = degrees;
     }
 }
 

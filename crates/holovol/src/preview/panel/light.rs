@@ -3,7 +3,7 @@
 use bevy::tasks::{AsyncComputeTaskPool, Task, block_on, poll_once};
 use bevy_egui::egui::{self, Color32, ColorImage, Pos2, Rect, Sense, Stroke, TextureOptions, vec2};
 use holovol_light::EnvironmentMap;
-use holovol_light::estimate::{FoundLight, LightClass, find_lights};
+use holovol_light::estimate::{FoundLight, LightClass, Rung, find_lights};
 
 use super::super::lights::{HEIGHT, Overview, WIDTH};
 use super::super::look::{Light, LightSource, Look};
@@ -12,7 +12,8 @@ use super::{Panel, Shown as PanelShown};
 /// What has been drawn of the present light.
 #[derive(Default)]
 pub(crate) struct Shown {
-    of: Option<LightSource>,
+    /// The light, and how often the camera's had changed.
+    of: Option<(LightSource, u64)>,
     overview: Option<Overview>,
     lights: Vec<FoundLight>,
     panorama: Option<egui::TextureHandle>,
@@ -26,6 +27,7 @@ const BALL: usize = 56;
 
 pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut PanelShown) {
     refresh(ui, &mut panel.light, shown);
+    camera(ui, shown);
     let Look {
         light, exposure_ev, ..
     } = &mut shown.studio.look;
@@ -71,6 +73,48 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut PanelShown)
     }
 }
 
+/// What a 360° camera sees and how sure that is, or a way back to it.
+fn camera(ui: &mut egui::Ui, shown: &mut PanelShown) {
+    let (Some(camera), Some(live)) = (&shown.room_camera, &shown.live) else {
+        return;
+    };
+    if let Some(problem) = camera.problem().or_else(|| live.problem.clone()) {
+        ui.colored_label(ui.visuals().error_fg_color, format!("camera: {problem}"));
+    }
+    let Some(seen) = shown.environments.get(live.map()) else {
+        if camera.problem().is_none() {
+            ui.weak("waiting for the camera's first picture");
+        }
+        return;
+    };
+    if camera.is(&shown.studio.look.light.source) {
+        let evidence = live.rung.map_or("", evidence);
+        let text = format!(
+            "{} pictures, {evidence}, ±{:.1} EV",
+            live.frames, live.sigma_ev
+        );
+        ui.weak(text).on_hover_text(
+            "What the room's light was estimated from, and one standard deviation of all light",
+        );
+    } else if ui
+        .button("Camera")
+        .on_hover_text("Light by the 360° camera again")
+        .clicked()
+    {
+        camera.choose(&mut shown.studio.look, seen.map());
+    }
+}
+
+fn evidence(rung: Rung) -> &'static str {
+    match rung {
+        Rung::Single => "one exposure",
+        Rung::SingleAndMeter => "one exposure and a light meter",
+        Rung::Bracket => "several exposures",
+        Rung::BracketAndMeter => "several exposures and a light meter",
+        Rung::Probe => "a probe",
+    }
+}
+
 fn name(class: LightClass) -> &'static str {
     match class {
         LightClass::Sun => "sun",
@@ -101,7 +145,9 @@ fn whereabouts(light: &FoundLight, rotation_deg: f64) -> String {
 
 /// Looks at the light again if it is another.
 fn refresh(ui: &egui::Ui, drawn: &mut Shown, shown: &PanelShown) {
-    let source = &shown.studio.look.light.source;
+    // A camera's light changes while it stays the same source.
+    let uploads = shown.live.as_ref().map_or(0, |live| live.uploads);
+    let now = (shown.studio.look.light.source.clone(), uploads);
     if let Some(seen) = drawn
         .looking
         .as_mut()
@@ -110,11 +156,10 @@ fn refresh(ui: &egui::Ui, drawn: &mut Shown, shown: &PanelShown) {
         *drawn = seen;
     }
     if drawn.looking.is_none()
-        && drawn.of.as_ref() != Some(source)
+        && drawn.of.as_ref() != Some(&now)
         && let Some(map) = shown.map()
     {
-        let source = source.clone();
-        let task = async move { Shown::of(source, &map) };
+        let task = async move { Shown::of(now, &map) };
         drawn.looking = Some(AsyncComputeTaskPool::get().spawn(task));
     }
     if drawn.looking.is_some() {
@@ -157,7 +202,7 @@ impl Shown {
         self.overview.as_ref().map(Overview::exposure_ev)
     }
 
-    fn of(source: LightSource, map: &EnvironmentMap) -> Self {
+    fn of(source: (LightSource, u64), map: &EnvironmentMap) -> Self {
         let overview = Overview::new(map);
         Self {
             of: Some(source),

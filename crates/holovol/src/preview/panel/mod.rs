@@ -36,6 +36,7 @@ use super::settings::Settings;
 use super::studio::Studio;
 use super::{Session, Status, overlay, slice_views};
 use crate::Failure;
+use crate::room_camera::RoomCamera;
 
 pub(crate) struct PanelPlugin;
 
@@ -124,6 +125,8 @@ pub(crate) struct Shown<'w, 's> {
     quality: Res<'w, Quality>,
     adapter: Res<'w, RenderAdapterInfo>,
     device: Res<'w, RenderDevice>,
+    room_camera: Option<Res<'w, RoomCamera>>,
+    live: Option<Res<'w, LiveLight>>,
 }
 
 impl Shown<'_, '_> {

@@ -30,9 +30,25 @@ fn bar(ui: &mut egui::Ui, part: Option<f32>) {
                     .show_percentage(),
             );
         }
-        None => {
-            ui.spinner();
-        }
+        None => spinner(ui),
+    }
+}
+
+/// Turns as often as it is drawn: egui's own would have a frame drawn for each of its steps.
+fn spinner(ui: &mut egui::Ui) {
+    const POINTS: usize = 8;
+    const TURNS_PER_SECOND: f64 = 0.8;
+    let (rect, _) = ui.allocate_exact_size(egui::Vec2::splat(16.0), egui::Sense::hover());
+    let turn = ui.input(|input| input.time) * TURNS_PER_SECOND;
+    let colour = ui.visuals().strong_text_color();
+    for i in 0..POINTS {
+        let part = i as f32 / POINTS as f32;
+        let angle = std::f32::consts::TAU * part;
+        // The brightest runs around.
+        let behind = (turn.fract() as f32 - part).rem_euclid(1.0);
+        let at = rect.center() + 6.0 * egui::Vec2::angled(angle);
+        ui.painter()
+            .circle_filled(at, 1.8, colour.gamma_multiply(1.0 - 0.85 * behind));
     }
 }
 
@@ -98,7 +114,7 @@ fn state(ui: &mut egui::Ui, shown: &Shown) {
     };
     if numbers.is_waiting {
         ui.horizontal(|ui| {
-            ui.spinner();
+            spinner(ui);
             ui.label("sending the scan to the graphics device and compiling; once per start");
         });
         return;

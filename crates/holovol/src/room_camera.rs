@@ -1,11 +1,11 @@
 //! `--camera`: the light of the room as a camera sees it.
 
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use bevy::prelude::*;
 use bevy_holovol::prelude::*;
-use bevy_holovol::xr::MixedRealityOrigin;
 use bevy_holovol::{LiveCamera, LiveFrame, LivePicture};
 use holovol_camera::{Exposure, VirtualCamera};
 use holovol_light::EnvironmentMap;
@@ -14,14 +14,15 @@ use holovol_light::lens::Calibration;
 use crate::kinds::FileKind;
 use crate::light::input::rgb8;
 use crate::preview::lights::Overview;
-use crate::preview::look::LightSource;
+use crate::preview::look::{LightSource, Look};
+use crate::preview::open::Opening;
 use crate::preview::studio::Studio;
 use crate::{Exit, Failure, demo};
 
 /// Pixels across of the virtual camera's fisheyes, and their field of view in degrees.
 const PICTURE: usize = 640;
 const FOV_DEG: f64 = 195.0;
-/// Texels of the light, which on opaque headsets is all that is seen of the room.
+/// Texels of the light, which can be all that is seen of the room.
 const SIZE: [usize; 2] = [1024, 512];
 /// Between two frames.
 const PERIOD: Duration = Duration::from_millis(100);
@@ -32,7 +33,7 @@ const BRACKET_EV: f64 = -6.0;
 
 /// What `--camera` names.
 #[derive(Clone, Debug)]
-pub(super) enum Source {
+pub(crate) enum Source {
     /// A camera that isn't there, in a room that is a map.
     Virtual(EnvironmentMap),
     /// Panoramas, again and again.
@@ -41,7 +42,7 @@ pub(super) enum Source {
 
 impl Source {
     /// `virtual`, `virtual:ROOM`, a panorama, or a folder of panoramas.
-    pub(super) fn find(uri: &str) -> Result<Self, Failure> {
+    pub(crate) fn find(uri: &str) -> Result<Self, Failure> {
         if uri == "virtual" {
             return Ok(Self::Virtual(demo::environment()));
         }
@@ -83,18 +84,11 @@ impl Source {
 }
 
 /// Lights the volume by a camera.
-pub(super) struct CameraPlugin {
-    pub(super) source: Source,
-    /// What the camera's panorama is turned by about +y, radians, against the tracking space.
-    pub(super) turn: f32,
-}
+pub(crate) struct RoomCameraPlugin(pub(crate) Source);
 
-#[derive(Resource)]
-struct Turn(f32);
-
-impl Plugin for CameraPlugin {
+impl Plugin for RoomCameraPlugin {
     fn build(&self, app: &mut App) {
-        let calibration = match self.source {
+        let calibration = match self.0 {
             Source::Virtual(_) => Some(Calibration::nominal([PICTURE; 2], FOV_DEG)),
             Source::Frames(_) => None,
         };
@@ -103,26 +97,78 @@ impl Plugin for CameraPlugin {
             calibration,
             ..default()
         })
-        .insert_resource(Turn(self.turn))
-        .add_systems(Update, follow);
+        .add_systems(Update, take_over);
+        let problem = Problem::default();
         let live = app.world().resource::<LiveLight>().camera();
-        let source = self.source.clone();
+        let (source, tell) = (self.0.clone(), problem.clone());
         let thread = std::thread::Builder::new().name("camera".into());
-        if let Err(error) = thread.spawn(move || film(&source, &live)) {
-            warn!("no camera: its thread can't be started: {error}");
+        if let Err(error) = thread.spawn(move || film(&source, &live, &tell)) {
+            problem.set(format!("its thread can't be started: {error}"));
         }
+        app.insert_resource(RoomCamera {
+            map: Handle::default(),
+            problem,
+        });
+    }
+}
+
+/// The camera's light among others.
+#[derive(Resource)]
+pub(crate) struct RoomCamera {
+    map: Handle<EnvironmentAsset>,
+    problem: Problem,
+}
+
+impl RoomCamera {
+    /// Whether this light is the camera's.
+    pub(crate) fn is(&self, source: &LightSource) -> bool {
+        matches!(source, LightSource::Map { map, .. } if *map == self.map)
+    }
+
+    /// The camera's light once it is known.
+    pub(crate) fn source(&self) -> Option<LightSource> {
+        (self.map != Handle::default()).then(|| LightSource::Map {
+            map: self.map.clone(),
+            path: None,
+            name: "camera".into(),
+        })
+    }
+
+    /// Why the camera gives no frames.
+    pub(crate) fn problem(&self) -> Option<String> {
+        self.problem.get()
+    }
+}
+
+/// What the camera's thread has to say.
+#[derive(Clone, Default)]
+struct Problem(Arc<Mutex<Option<String>>>);
+
+impl Problem {
+    fn set(&self, problem: String) {
+        warn!("no camera: {problem}");
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(problem);
+    }
+
+    fn clear(&self) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
+    fn get(&self) -> Option<String> {
+        let problem = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        problem.clone()
     }
 }
 
 /// What the camera's thread does, until the app has ended.
-fn film(source: &Source, live: &LiveCamera) {
+fn film(source: &Source, live: &LiveCamera, problem: &Problem) {
     match source {
-        Source::Virtual(room) => film_virtually(room, live),
-        Source::Frames(frames) => play(frames, live),
+        Source::Virtual(room) => film_virtually(room, live, problem),
+        Source::Frames(frames) => play(frames, live, problem),
     }
 }
 
-fn film_virtually(room: &EnvironmentMap, live: &LiveCamera) {
+fn film_virtually(room: &EnvironmentMap, live: &LiveCamera, problem: &Problem) {
     let camera = VirtualCamera {
         size: PICTURE,
         ..default()
@@ -130,12 +176,13 @@ fn film_virtually(room: &EnvironmentMap, live: &LiveCamera) {
     // As people set theirs, once: what is metered in every frame would hide that the light changes.
     let metered = match camera.shoot(room, &[Exposure::Automatic(METERED)], 0) {
         Ok(shots) => shots[0].ev,
-        Err(error) => return warn!("no camera: {error}"),
+        Err(error) => return problem.set(error.to_string()),
     };
     for shot in 1_u64.. {
         let ev = metered + BRACKET_EV * (shot % 2) as f64;
-        let Ok(mut shots) = camera.shoot(room, &[Exposure::Fixed(ev)], shot) else {
-            return;
+        let mut shots = match camera.shoot(room, &[Exposure::Fixed(ev)], shot) {
+            Ok(shots) => shots,
+            Err(error) => return problem.set(error.to_string()),
         };
         let pictures = shots.remove(0).pictures;
         let is_wanted = live.send(LiveFrame {
@@ -150,16 +197,19 @@ fn film_virtually(room: &EnvironmentMap, live: &LiveCamera) {
     }
 }
 
-fn play(frames: &[PathBuf], live: &LiveCamera) {
+fn play(frames: &[PathBuf], live: &LiveCamera, problem: &Problem) {
     let mut held = None;
     for frame in frames.iter().cycle() {
         // One frame is a camera that stands still: read once.
         let read = match held.take() {
             Some(read) => read,
             None => match rgb8(frame) {
-                Ok(read) => read,
+                Ok(read) => {
+                    problem.clear();
+                    read
+                }
                 Err(failure) => {
-                    warn!("{failure}");
+                    problem.set(failure.to_string());
                     std::thread::sleep(PERIOD);
                     continue;
                 }
@@ -184,48 +234,33 @@ fn play(frames: &[PathBuf], live: &LiveCamera) {
     }
 }
 
-#[expect(clippy::too_many_arguments, reason = "what the look depends on")]
-/// Keeps the look on the camera's light, exposed so that chalk in it isn't white.
-fn follow(
+/// Makes the camera's first light the look's, once what was opened before it is there: after that it
+/// is one light to choose among others.
+fn take_over(
     live: Res<LiveLight>,
-    turn: Res<Turn>,
-    environment: Res<VolumeEnvironment>,
     environments: Res<Assets<EnvironmentAsset>>,
-    origin: Query<&Transform, With<MixedRealityOrigin>>,
+    opening: Res<Opening>,
+    mut camera: ResMut<RoomCamera>,
     mut studio: ResMut<Studio>,
-    mut exposed: Local<bool>,
-    mut of_camera: Local<Option<Handle<EnvironmentAsset>>>,
 ) {
-    if live.uploads == 0 {
+    if camera.source().is_some() || studio.scan.is_none() || opening.is_busy() {
         return;
     }
-    // The camera's, as long as nothing else has been opened since.
-    let map = of_camera.get_or_insert_with(|| match &environment.source {
-        EnvironmentSource::Map(map) => map.clone(),
-        EnvironmentSource::Constant(_) => Handle::default(),
-    });
-    let is_set =
-        matches!(&studio.look.light.source, LightSource::Map { map: set, .. } if set == map);
-    if !is_set {
-        studio.look.light.source = LightSource::Map {
-            map: map.clone(),
-            path: None,
-            name: "camera".into(),
-        };
-        studio.look.light.stops = 0.0;
-        *exposed = false;
-    }
-    if !*exposed && let Some(asset) = environments.get(&*map) {
-        *exposed = true;
-        studio.look.exposure_ev = Overview::new(asset.map()).exposure_ev();
-    }
-    // The camera stands in the room; the user's place in the world is turned against it.
-    let yaw = origin
-        .single()
-        .map_or(0.0, |o| o.rotation.to_euler(EulerRot::YXZ).0);
-    let degrees = f64::from((yaw + turn.0).to_degrees());
-    if (studio.look.light.rotation_deg - degrees).abs() > 1e-4 {
-        studio.look.light.rotation_deg = degrees;
+    let Some(asset) = environments.get(live.map()) else {
+        return;
+    };
+    camera.map = live.map().clone();
+    camera.choose(&mut studio.look, asset.map());
+}
+
+impl RoomCamera {
+    /// Lights the look by the camera, exposed so that chalk isn't white.
+    pub(crate) fn choose(&self, look: &mut Look, map: &EnvironmentMap) {
+        if let Some(source) = self.source() {
+            look.light.source = source;
+            look.light.stops = 0.0;
+            look.exposure_ev = Overview::new(map).exposure_ev();
+        }
     }
 }
 
