@@ -24,6 +24,13 @@ pub struct DepthLayers {
     pub size: [u32; 2],
 }
 
+impl DepthLayers {
+    /// All but where they lie: that hangs on the other views.
+    pub(crate) fn shape(self) -> (u32, [u32; 2]) {
+        (self.count, self.size)
+    }
+}
+
 /// One view's depth buffer.
 #[derive(Clone, Copy, Debug)]
 pub struct DepthSource<'a> {

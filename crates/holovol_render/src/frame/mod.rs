@@ -238,6 +238,13 @@ impl FrameTracer {
         Ok(())
     }
 
+    /// Forgets a view's image: what is drawn there next is of somebody else.
+    pub fn forget_view(&mut self, slot: usize) {
+        if let Some(slot) = self.slots.get_mut(slot) {
+            *slot = Slot::empty(slot.first_pixel, slot.room);
+        }
+    }
+
     /// Takes how many of its samples each part of a view's image gets; without, each gets all. They
     /// hold for images of their size. Where pixels appear or disappear by it, the view begins anew.
     ///

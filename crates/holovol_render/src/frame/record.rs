@@ -39,10 +39,10 @@ impl FrameTracer {
             let mut uniform = ViewUniform::new(&frame.view, &self.medium, &self.volume);
             uniform.image[2] = slot.first_pixel;
             uniform.image[3] = kernel_seed(beginning_seed(self.options.seed, self.beginnings));
-            if let Some(depth) = frame.mesh_depth {
-                uniform.mesh_depth = [depth.size[0], depth.size[1], depth.first, depth.count];
-            }
             slot.uniform = uniform;
+        }
+        if let Some(depth) = frame.mesh_depth {
+            slot.uniform.mesh_depth = [depth.size[0], depth.size[1], depth.first, depth.count];
         }
         let start = slot.samples;
         let end = start.saturating_add(frame.samples).min(frame.max_samples);

@@ -80,7 +80,7 @@ impl Slot {
         frame.restart
             || self.is_stale
             || self.view != Some(frame.view)
-            || self.mesh_depth != frame.mesh_depth
+            || self.mesh_depth.map(DepthLayers::shape) != frame.mesh_depth.map(DepthLayers::shape)
     }
 
     pub(super) fn is_traced(&self) -> bool {

@@ -320,6 +320,52 @@ pub fn paths_end_at_meshes(gpu: &Gpu) -> Result<(), String> {
     Ok(())
 }
 
+/// An image goes on where its depth comes to lie in other layers, and reads them there.
+pub fn depth_moves_between_layers(gpu: &Gpu) -> Result<(), String> {
+    let scene = slab();
+    let mut tracer = tracer(gpu, &scene, &TraceOptions::default())?;
+    tracer.set_views(&[[16, 16]]).map_err(text)?;
+    let clip_from_view = DMat4::perspective_infinite_reverse_rh(0.02, 1.0, NEAR);
+    let metres = [2.6, 2.1];
+    let mut depth = MeshDepth::new(gpu).map_err(text)?;
+    depth.reserve([16, 16], 2).map_err(text)?;
+    for own in [0, 1] {
+        let mut encoder = gpu.device.create_command_encoder(&Default::default());
+        let mut layers = Vec::new();
+        for (i, metres) in metres.into_iter().enumerate() {
+            let texture = depth_buffer(gpu, [16, 16], 1, metres);
+            let source = DepthSource {
+                texture: &texture,
+                samples: 1,
+                viewport: [0, 0, 16, 16],
+                clip_from_view,
+            };
+            let layer = if own == 0 { i as u32 } else { 1 - i as u32 };
+            layers.push(depth.record(&mut encoder, &source, layer).map_err(text)?);
+        }
+        gpu.queue.submit([encoder.finish()]);
+        let views = [ViewFrame {
+            view: View::from_camera(&scene.camera).resized([16, 16]),
+            mesh_depth: Some(layers[0]),
+            ..view(0, &scene.camera, 128, 256)
+        }];
+        frame(gpu, &mut tracer, &views, Some(&depth))?;
+    }
+    let samples = tracer.image(0).map(|image| image.samples);
+    if samples != Some(256) {
+        return Err(format!("{samples:?} samples, not 2 × 128"));
+    }
+    let (found, expected) = (mean_opacity(&tracer, 0)?, 1.0 - f64::exp(-2.0 * 0.6));
+    if (found - expected).abs() > 4e-3 {
+        return Err(format!("opacity {found} instead of {expected}"));
+    }
+    tracer.forget_view(0);
+    match tracer.image(0) {
+        None => Ok(()),
+        Some(image) => Err(format!("{image:?} was forgotten")),
+    }
+}
+
 /// What clip planes leave of the slab has the opacity of its thickness.
 pub fn clip_planes_cut(gpu: &Gpu) -> Result<(), String> {
     let scene = slab();

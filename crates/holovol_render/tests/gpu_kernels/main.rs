@@ -62,6 +62,10 @@ const CHECKS: &[(&str, Check)] = &[
         frames::general_kernels_equal_special_ones,
     ),
     ("paths_end_at_meshes", frames::paths_end_at_meshes),
+    (
+        "depth_moves_between_layers",
+        frames::depth_moves_between_layers,
+    ),
     ("clip_planes_cut", frames::clip_planes_cut),
     ("only_changes_begin_anew", frames::only_changes_begin_anew),
     ("denoise_paper_equals_the_twin", denoise_twins::paper),
