@@ -174,7 +174,10 @@ pub(super) fn apply(
     filtering: Res<Filtering>,
     cameras: Query<Camera, (With<Camera3d>, With<VolumeRenderSettings>)>,
 ) {
-    let rotation = Quat::from_rotation_y(environment.rotation_y);
+    // What is no number would never be found again to be ours.
+    let finite = |number: f32| if number.is_finite() { number } else { 0.0 };
+    let rotation = Quat::from_rotation_y(finite(environment.rotation_y));
+    let intensity = finite(environment.intensity);
     for (entity, light, sky, our_light, our_sky, is_without) in &cameras {
         let mut camera = commands.entity(entity);
         let is_ours = match (light, our_light) {
@@ -188,7 +191,7 @@ pub(super) fn apply(
             let wanted = EnvironmentMapLight {
                 diffuse_map: diffuse.clone(),
                 specular_map: specular.clone(),
-                intensity: environment.intensity,
+                intensity,
                 rotation,
                 ..default()
             };
@@ -209,7 +212,7 @@ pub(super) fn apply(
         if let Some(image) = sky_map.filter(|_| is_ours && has_sky) {
             let wanted = Skybox {
                 image: Some(image.clone()),
-                brightness: environment.intensity,
+                brightness: intensity,
                 rotation,
             };
             if sky.is_none_or(|sky| !is_same_sky(sky, &wanted)) {

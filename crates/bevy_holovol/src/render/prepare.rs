@@ -35,6 +35,9 @@ struct UploadedLight {
 /// A volume, and the number of scatterings that its views want.
 pub(super) type TracerKey = (MainEntity, Option<u32>);
 
+/// Frames after which a device has surely given back what nobody holds any more.
+const FRAMES_TO_FREE: u32 = 4;
+
 /// What a volume is being brought to. While voxels are on their way to the screen no others follow,
 /// so that those which change in every frame arrive as fast as they can be uploaded.
 struct Target {
@@ -64,6 +67,8 @@ pub(crate) struct Inner {
     /// Once a view is denoised.
     pub(super) denoise_kernels: Option<Arc<DenoiseKernels>>,
     targets: HashMap<MainEntity, Target>,
+    /// Frames until voxels that had no room are uploaded again; 0 for never.
+    retry_in: u32,
     pub(super) tracings: HashMap<TracerKey, Tracing>,
     /// Kept from frame to frame: what images are laid over views with.
     pub(super) bindings: HashMap<(MainEntity, TracerKey), CompositeBinding>,
@@ -113,6 +118,7 @@ impl Inner {
             light_change: 0.0,
             denoise_kernels: None,
             targets: HashMap::new(),
+            retry_in: 0,
             tracings: HashMap::new(),
             bindings: HashMap::new(),
             plan: Vec::new(),
@@ -137,6 +143,10 @@ impl Inner {
         match made.poll() {
             State::Ready(volume) => Some(Arc::clone(volume)),
             State::Pending(_) => {
+                statistics.is_waiting = true;
+                None
+            }
+            State::Failed(failure) if failure.is_memory && self.retry_in > 0 => {
                 statistics.is_waiting = true;
                 None
             }
@@ -173,7 +183,12 @@ impl Inner {
                 let mut tracings = self.tracings.iter();
                 let is_busy = tracings
                     .any(|(key, t)| key.0 == extracted.entity && is_seen(key) && t.is_busy());
-                if is_busy || self.volumes.iter().any(uploads) {
+                // Going back to what is shown waits for nothing.
+                let of_volume = |(key, _): &(&TracerKey, _)| key.0 == extracted.entity;
+                let mut own = self.tracings.iter().filter(of_volume).peekable();
+                let goes_back =
+                    own.peek().is_some() && own.all(|(_, t)| t.shows(&extracted.volume));
+                if !goes_back && (is_busy || self.volumes.iter().any(uploads)) {
                     continue;
                 }
             }
@@ -187,8 +202,12 @@ impl Inner {
         self.rename_tracings(scene);
         // What nobody uses any more goes first: it makes room.
         let targets = &self.targets;
-        let is_used = |made: &Made<Volume, _>| targets.values().any(|t| made.is_of(&t.volume));
-        self.volumes.retain(is_used);
+        let tracings = &self.tracings;
+        let is_used = |made: &mut Made<Volume, _>| {
+            targets.values().any(|t| made.is_of(&t.volume))
+                || tracings.values().any(|tracing| tracing.shows(&made.of))
+        };
+        self.volumes.retain_mut(is_used);
         let wants = |key: &TracerKey| scene.views.iter().any(|v| v.settings.max_scatters == key.1);
         self.tracings
             .retain(|key, _| targets.contains_key(&key.0) && wants(key));
@@ -207,7 +226,16 @@ impl Inner {
                     && (has_failed || tracing.lacks_memory());
                 key.0 != *entity || !gives_way
             });
-            if has_failed && self.tracings.len() < before {
+            if self.tracings.len() < before {
+                self.retry_in = FRAMES_TO_FREE;
+            }
+        }
+        if self.retry_in > 0 {
+            self.retry_in -= 1;
+            if self.retry_in == 0 {
+                let failed = |made: &Made<Volume, _>| {
+                    made.failure().is_some_and(|failure| failure.is_memory)
+                };
                 self.volumes.retain(|made| !failed(made));
             }
         }
@@ -380,6 +408,10 @@ fn prepare(
             let (gpu, kernels) = (&inner.gpu, &inner.kernels);
             let tracing = match inner.tracings.entry(key) {
                 Entry::Occupied(tracing) => tracing.into_mut(),
+                Entry::Vacant(_) if inner.retry_in > 0 => {
+                    statistics.is_waiting = true;
+                    continue;
+                }
                 Entry::Vacant(place) => {
                     let Some(tracing) = Tracing::begin(gpu, kernels, &wanted) else {
                         continue;

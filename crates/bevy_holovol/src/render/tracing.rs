@@ -174,6 +174,11 @@ impl Tracing {
         self.shown.made.is_pending() || self.coming.as_ref().is_some_and(is_coming)
     }
 
+    /// Shows these voxels.
+    pub(super) fn shows(&self, voxels: &Arc<Volume>) -> bool {
+        self.tracer().is_some() && self.shown.made.is_of(voxels)
+    }
+
     /// Shows other voxels than these.
     pub(super) fn shows_other_than(&self, voxels: &Arc<Volume>) -> bool {
         self.tracer().is_some() && !self.shown.made.is_of(voxels)
@@ -323,13 +328,20 @@ impl Tracing {
             .collect();
         let sizes = |slots: &[(MainEntity, _)]| slots.iter().map(|(_, size)| *size).collect();
         let rooms: Vec<[u32; 2]> = sizes(&with_headroom);
-        if tracer.set_views(&rooms).is_ok() {
-            self.slots = with_headroom;
+        let slots = if tracer.set_views(&rooms).is_ok() {
+            with_headroom
         } else {
             let rooms: Vec<[u32; 2]> = sizes(wanted);
             tracer.set_views(&rooms)?;
-            self.slots = wanted.to_vec();
+            wanted.to_vec()
+        };
+        for (slot, (camera, _)) in slots.iter().enumerate() {
+            // Where there was room already, there may be another's image.
+            if self.slots.get(slot).map(|(former, _)| former) != Some(camera) {
+                tracer.forget_view(slot);
+            }
         }
+        self.slots = slots;
         self.overlaps = vec![None; wanted.len()];
         Ok(true)
     }

@@ -19,6 +19,7 @@ pub const TESTS: &[crate::Test] = &[
         "a_volume_stays_while_kernels_are_compiled",
         while_kernels_are_compiled,
     ),
+    ("going_back_to_what_is_shown_costs_nothing", going_back),
     (
         "volumes_that_change_in_every_frame_arrive",
         changing_volumes,
@@ -97,6 +98,36 @@ fn while_another_is_loaded() {
         .entity_mut(volume)
         .insert(Volume3d::default());
     assert_near("no volume", dark(&mut app, &target), 1.0, 1e-3);
+}
+
+fn going_back() {
+    let (mut app, volume, _, target) = stage(64);
+    let former = app.world().get::<Volume3d>(volume).cloned();
+    let former = former.expect("a volume");
+    let before = statistics(&app).samples;
+    let mut times = 0;
+    // From its upload to its tracer, every stage of what is coming is gone back from.
+    loop {
+        let mut assets = app.world_mut().resource_mut::<Assets<VolumeAsset>>();
+        let other = Volume3d(assets.add(solid(Vec3::new(1.0, 1.0, 0.2))));
+        app.world_mut().entity_mut(volume).insert(other);
+        for _ in 0..=times {
+            app.update();
+        }
+        if statistics(&app).samples > before {
+            break;
+        }
+        let uploads = statistics(&app).uploads;
+        app.world_mut().entity_mut(volume).insert(former.clone());
+        app.update();
+        finish(&mut app);
+        let after = statistics(&app);
+        assert_eq!(after.uploads, uploads, "{times}: it is still there");
+        assert_eq!(after.samples, before, "{times}: its image stays");
+        assert_near("the former", dark(&mut app, &target), (-2f32).exp(), 0.01);
+        times += 1;
+    }
+    assert!(times > 1, "nothing was gone back from");
 }
 
 fn while_its_matter_is_loaded() {
