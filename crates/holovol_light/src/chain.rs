@@ -11,12 +11,12 @@ use crate::{EnvironmentMap, EnvironmentSampler, Grid};
 /// Exposures of alternating frames are merged up to this age, in frames.
 const OLDEST: usize = 2;
 /// T since the last published light from which on it is published again: noise stays below.
-const PUBLISH: f64 = 0.02;
+const PUBLISH: f64 = 0.06;
 /// A disc light that changed by this share, or moved by this angle (radians), is published again:
 /// highlights show that before T does. Guesses flicker by less.
 const DISC_CHANGE: f64 = 0.1;
 const DISC_MOVE: f64 = 0.25 / 180.0 * std::f64::consts::PI;
-/// But only if it gives this share of what all discs give.
+/// But only if it gives this share of all light: lesser ones come and go with the noise.
 const DISC_SHARE: f64 = 0.05;
 
 /// What a renderer draws with: a map and the table made from this very map, so that densities are
@@ -205,7 +205,9 @@ impl LightChain {
             add_to_spherical_harmonics(&mut sh9, light.direction, light.irradiance);
         }
         let change_since_published = self.change.since_kept();
-        let publish = change_since_published >= PUBLISH || self.discs_changed();
+        // Y₀₀ is 1/√(4π).
+        let all_light = f64::from(sh9[0][1]) * (4.0 * std::f64::consts::PI).sqrt();
+        let publish = change_since_published >= PUBLISH || self.discs_changed(all_light);
         if publish {
             self.publish();
         }
@@ -225,24 +227,23 @@ impl LightChain {
         self.published.as_ref()
     }
 
-    fn discs_changed(&self) -> bool {
+    fn discs_changed(&self, all_light: f64) -> bool {
         let Some(published) = &self.published else {
             return true;
         };
-        let flux = |lights: &[Light]| -> f64 { lights.iter().map(|l| l.irradiance[1]).sum() };
         let now = self.filter.lights();
-        let least = DISC_SHARE * flux(now).max(flux(&published.discs));
-        let matters = |light: &&Light| light.irradiance[1] > least;
-        let count = |lights: &[Light]| lights.iter().filter(matters).count();
-        count(now) != count(&published.discs)
-            || now.iter().filter(matters).any(|light| {
-                let near = published.discs.iter().any(|other| {
-                    let ratio = light.irradiance[1] / other.irradiance[1].max(1e-12);
-                    (ratio - 1.0).abs() < DISC_CHANGE
-                        && light.direction.angle_between(other.direction) < DISC_MOVE
-                });
-                !near
-            })
+        let least = DISC_SHARE * all_light;
+        // Whether a light that counts is none of the others, however little these give.
+        let is_new = |light: &Light, others: &[Light]| {
+            let is_same = |other: &Light| {
+                let ratio = light.irradiance[1] / other.irradiance[1].max(1e-12);
+                (ratio - 1.0).abs() < DISC_CHANGE
+                    && light.direction.angle_between(other.direction) < DISC_MOVE
+            };
+            light.irradiance[1] > least && !others.iter().any(is_same)
+        };
+        now.iter().any(|light| is_new(light, &published.discs))
+            || published.discs.iter().any(|light| is_new(light, now))
     }
 
     fn publish(&mut self) {

@@ -25,17 +25,25 @@ const C2: f32 = 2.0 * 0.15 * 0.15;
 /// A patch that gives no surface this share of its irradiance can't change any by more, and is
 /// left out.
 const SMALLEST: f32 = 0.01;
+/// And what is exchanged in a patch counts wholly from this share on: a lamp that gives a thousandth
+/// of the light may flicker.
+const WHOLE: f32 = 0.008;
 /// A surface in the dark counts as if it had this share of the mean irradiance.
 const DARK: f32 = 0.05;
 /// What a patch that changes wholly is worth where irradiance stays: a person before a wall is
 /// seen, and may be mirrored, but lights nothing.
 const SEEN: f32 = 0.42;
 
+/// Times that cells are blurred over their neighbours: what is found a fraction of a degree off, or
+/// once as a disc light and once in the map, would jump from one cell to the next.
+const BLURS: usize = 2;
+
 /// Compares each frame's light with the last one's; allocates nothing after the first.
 ///
 /// Per patch the similarity τ is an SSIM of log radiance: C1/(Δμ² + C1) in place of SSIM's term of
 /// means, which depends on the unit of radiance, times (2σ₁₂ + C2)/(σ₁² + σ₂² + C2). Patches which
-/// give every surface less than 1 % of its irradiance are left out. That is the picture. What it
+/// give every surface less than 1 % of its irradiance are left out, and τ counts in full where what
+/// is exchanged gives a surface 0.8 %. Cells are blurred first. That is the picture. What it
 /// does is the largest change ΔE, EV, of the irradiance of 128 surfaces: its similarity is
 /// ε = C1/(ΔE² + C1). T = 1 − ε · (1 − 0.42 · (1 − min τ)): a change of the picture alone gives at
 /// most 0.42, a change of irradiance up to 1.
@@ -52,6 +60,7 @@ pub struct ChangeDetector {
     cosines: Vec<f32>,
     /// Added to radiance before its logarithm is taken.
     floor: f32,
+    row: [[f32; SIDE]; 2],
 }
 
 /// A frame's light.
@@ -102,6 +111,7 @@ impl ChangeDetector {
             cosines: cosines.collect(),
             surfaces,
             floor: 0.0,
+            row: [[0.0; SIDE]; 2],
         }
     }
 
@@ -150,7 +160,10 @@ impl ChangeDetector {
             let shares = cosines.iter().zip(&brightest);
             let share = shares.fold(0.0_f32, |most, (c, inverse)| most.max(c * inverse));
             if flux * share >= SMALLEST {
-                changed = changed.max(patch_change(a, b, patch));
+                let counts = (exchanged(a, b, patch) * share / WHOLE).min(1.0);
+                if counts > changed {
+                    changed = changed.max(counts * patch_change(a, b, patch));
+                }
             }
         }
         let lit = C1 / (ratio.log2().powi(2) + C1);
@@ -186,7 +199,10 @@ impl ChangeDetector {
         }
         // Maps smaller than the cells leave gaps, which are alike in every frame.
         for light in discs.iter().filter(|light| light.disc) {
-            flux[cell_of(light.direction)] += luminance(light.irradiance) as f32;
+            add_light(flux, light.direction, luminance(light.irradiance) as f32);
+        }
+        for _ in 0..BLURS {
+            blur(flux, &mut self.row);
         }
         frame.sum(&self.cells, &self.surfaces);
         // All frames' logs share a floor. It follows the light only when that has become another,
@@ -242,6 +258,15 @@ impl Gathered {
     }
 }
 
+/// Flux by which the cells of a patch differ.
+fn exchanged(a: &Gathered, b: &Gathered, patch: usize) -> f32 {
+    let corner = (patch % PATCHES + patch / PATCHES * SIDE) * CELLS;
+    let rows = (0..CELLS).map(|y| corner + y * SIDE..corner + y * SIDE + CELLS);
+    rows.flat_map(|row| a.flux[row.clone()].iter().zip(&b.flux[row]))
+        .map(|(a, b)| (a - b).abs())
+        .sum()
+}
+
 /// 1 − τ of a patch.
 fn patch_change(a: &Gathered, b: &Gathered, patch: usize) -> f32 {
     let corner = (patch % PATCHES + patch / PATCHES * SIDE) * CELLS;
@@ -264,8 +289,40 @@ fn patch_change(a: &Gathered, b: &Gathered, patch: usize) -> f32 {
     (1.0 - means * structure.max(0.0)).max(0.0)
 }
 
-fn cell_of(direction: DVec3) -> usize {
-    let [u, v] = EnvironmentMap::uv_from_direction(direction);
-    let at = |t: f64| ((t * SIDE as f64) as usize).min(SIDE - 1);
-    at(u) + SIDE * at(v)
+/// Adds a disc light's flux to the four cells around it.
+fn add_light(flux: &mut [f32], direction: DVec3, light: f32) {
+    let [u, v] = EnvironmentMap::uv_from_direction(direction).map(|t| t * SIDE as f64 - 0.5);
+    let ([column, row], [right, down]) = ([u.floor(), v.floor()], [u - u.floor(), v - v.floor()]);
+    for (y, wy) in [(row, 1.0 - down), (row + 1.0, down)] {
+        let y = y.clamp(0.0, SIDE as f64 - 1.0) as usize;
+        for (x, wx) in [(column, 1.0 - right), (column + 1.0, right)] {
+            let x = (x as i64).rem_euclid(SIDE as i64) as usize;
+            flux[x + SIDE * y] += light * (wx * wy) as f32;
+        }
+    }
+}
+
+/// Means over 3 × 3 cells, weights 1 2 1.
+fn blur(flux: &mut [f32], rows: &mut [[f32; SIDE]; 2]) {
+    for row in flux.chunks_exact_mut(SIDE) {
+        let (first, last) = (row[0], row[SIDE - 1]);
+        let mut left = last;
+        for x in 0..SIDE {
+            let right = if x + 1 < SIDE { row[x + 1] } else { first };
+            let own = row[x];
+            row[x] = 0.25 * (left + right) + 0.5 * own;
+            left = own;
+        }
+    }
+    // The row above as it was, and this one.
+    let [above, own] = rows;
+    above.copy_from_slice(&flux[..SIDE]);
+    for y in 0..SIDE {
+        let below = SIDE * (y + 1).min(SIDE - 1);
+        own.copy_from_slice(&flux[SIDE * y..][..SIDE]);
+        for x in 0..SIDE {
+            flux[SIDE * y + x] = 0.25 * (above[x] + flux[below + x]) + 0.5 * own[x];
+        }
+        above.copy_from_slice(own);
+    }
 }

@@ -17,6 +17,10 @@ const SWITCH: f64 = 1.0;
 const FLICKER: f64 = 0.25;
 /// Lights nearer than this are the same from frame to frame, radians.
 const SAME: f64 = 0.09;
+/// Within this angle a light's place is noise, radians; from twice it on it is followed at once.
+const STEADY: f64 = 0.026;
+/// Frames that it is a mean of, at most.
+const MEAN_OF: u32 = 20;
 /// Time without being seen after which a light is forgotten, s.
 const FORGET: f64 = 0.1;
 /// Blocks across and down that are looked at for switches in the map.
@@ -31,7 +35,22 @@ struct Track {
     /// log₂ of its luminous irradiance.
     level: f64,
     variance: f64,
+    /// Frames that its place is a mean of.
+    seen: u32,
+    /// For how long, s.
     unseen: f64,
+}
+
+/// A part of the map.
+#[derive(Clone, Copy, Debug, Default)]
+struct Block {
+    /// Sums over the new map and over the filtered one.
+    new: f64,
+    kept: f64,
+    /// By which the new one is taken over.
+    rate: f64,
+    /// A light has come out of it, or gone into it.
+    is_exchanged: bool,
 }
 
 /// Filters maps and lights over time; allocates only while lights appear.
@@ -39,8 +58,7 @@ struct Track {
 pub struct TemporalFilter {
     grid: Grid,
     map: Vec<[f32; 3]>,
-    /// Per block: the new sum, then the rate it is taken over at; and the map's sum.
-    means: Vec<[f64; 2]>,
+    blocks: Vec<Block>,
     tracks: Vec<Track>,
     matched: Vec<bool>,
     lights: Vec<Light>,
@@ -53,7 +71,7 @@ impl TemporalFilter {
         let grid = Grid::new(width, height);
         Self {
             map: vec![[0.0; 3]; grid.len()],
-            means: vec![[0.0; 2]; BLOCKS[0] * BLOCKS[1]],
+            blocks: vec![Block::default(); BLOCKS[0] * BLOCKS[1]],
             tracks: Vec::with_capacity(16),
             matched: Vec::with_capacity(16),
             lights: Vec::with_capacity(16),
@@ -77,8 +95,13 @@ impl TemporalFilter {
     ) {
         assert_eq!(radiance.len(), self.grid.len(), "the filter's size");
         let scale = (-exposure_ev).exp2();
-        self.blend_map(radiance, scale as f32, seconds);
+        self.add_blocks(radiance, scale as f32);
         self.track(lights, scale, seconds);
+        self.blend_map(radiance, scale as f32, seconds);
+        self.drop_dark(scale);
+        self.lights.clear();
+        self.lights
+            .extend(self.tracks.iter().map(|track| track.light));
         self.started = true;
     }
 
@@ -92,39 +115,71 @@ impl TemporalFilter {
         &self.lights
     }
 
-    fn blend_map(&mut self, radiance: &[[f32; 3]], scale: f32, seconds: f64) {
+    /// Sums of the new map over blocks.
+    fn add_blocks(&mut self, radiance: &[[f32; 3]], scale: f32) {
         let (width, height) = (self.grid.width(), self.grid.height());
-        // Texels of a row from which a block's columns begin.
-        let edge = |block: usize| block * width / BLOCKS[0];
-        let block_row = |y: usize| (y * BLOCKS[1] / height) * BLOCKS[0];
-        for mean in &mut self.means {
-            mean[0] = 0.0;
+        for block in &mut self.blocks {
+            (block.new, block.is_exchanged) = (0.0, false);
         }
         for (y, row) in radiance.chunks_exact(width).take(height).enumerate() {
             for b in 0..BLOCKS[0] {
-                let sum = sum_of(&row[edge(b)..edge(b + 1)]);
-                self.means[block_row(y) + b][0] += f64::from(scale * (sum[0] + sum[1] + sum[2]));
+                let sum = sum_of(&row[edge(b, width)..edge(b + 1, width)]);
+                let sum = f64::from(scale * (sum[0] + sum[1] + sum[2]));
+                self.blocks[block_row(y, height) + b].new += sum;
             }
         }
+    }
+
+    fn blend_map(&mut self, radiance: &[[f32; 3]], scale: f32, seconds: f64) {
+        let (width, height) = (self.grid.width(), self.grid.height());
         let rate = 1.0 - (-seconds.max(0.0) / MAP_SECONDS).exp();
-        for mean in &mut self.means {
-            let ratio = (mean[0].max(1e-9) / mean[1].max(1e-9)).log2().abs();
-            let switched = !self.started || ratio > BLOCK_SWITCH;
-            let rate = if switched { 1.0 } else { rate };
-            // The map's means follow as the map does.
-            *mean = [rate, mean[1] + rate * (mean[0] - mean[1])];
+        for block in &mut self.blocks {
+            let ratio = (block.new.max(1e-9) / block.kept.max(1e-9)).log2().abs();
+            let is_switched = !self.started || block.is_exchanged || ratio > BLOCK_SWITCH;
+            block.rate = if is_switched { 1.0 } else { rate };
+            // The map's sums follow as the map does.
+            block.kept += block.rate * (block.new - block.kept);
         }
         for y in 0..height {
             let row = y * width..(y + 1) * width;
             let (new, old) = (&radiance[row.clone()], &mut self.map[row]);
             for b in 0..BLOCKS[0] {
-                let columns = edge(b)..edge(b + 1);
-                let rate = self.means[block_row(y) + b][0] as f32;
+                let columns = edge(b, width)..edge(b + 1, width);
+                let rate = self.blocks[block_row(y, height) + b].rate as f32;
                 let old = old[columns.clone()].as_flattened_mut();
                 for (old, new) in old.iter_mut().zip(new[columns].as_flattened()) {
                     *old += rate * (scale * new - *old);
                 }
             }
+        }
+    }
+
+    /// The block at a place, and those that a small light there may reach into.
+    fn blocks_around(&self, direction: DVec3) -> impl Iterator<Item = usize> + use<> {
+        let [u, v] = crate::EnvironmentMap::uv_from_direction(direction);
+        let at = |t: f64, n: usize| ((t * n as f64) as usize).min(n - 1);
+        let [x, y] = [at(u, BLOCKS[0]), at(v, BLOCKS[1])];
+        (0..9).map(move |k| {
+            let x = (x + k % 3 + BLOCKS[0] - 1) % BLOCKS[0];
+            let y = (y + k / 3).saturating_sub(1).min(BLOCKS[1] - 1);
+            x + BLOCKS[0] * y
+        })
+    }
+
+    /// Luminous flux, about, that the new map has and the filtered one lacks around a place.
+    fn gain_around(&self, direction: DVec3) -> f64 {
+        let [_, v] = crate::EnvironmentMap::uv_from_direction(direction);
+        let row = ((v * self.grid.height() as f64) as usize).min(self.grid.height() - 1);
+        let more: f64 = self
+            .blocks_around(direction)
+            .map(|block| self.blocks[block].new - self.blocks[block].kept)
+            .sum();
+        more / 3.0 * f64::from(self.grid.solid_angle(row))
+    }
+
+    fn exchange(&mut self, direction: DVec3) {
+        for block in self.blocks_around(direction) {
+            self.blocks[block].is_exchanged = true;
         }
     }
 
@@ -135,19 +190,28 @@ impl TemporalFilter {
             let mut light = *light;
             light.irradiance = light.irradiance.map(|e| e * scale);
             let level = luminance(light.irradiance).max(1e-12).log2();
+            // Of parts of one light that lie close together each goes on by its strength.
+            let off = |track: &Track| {
+                let angle = track.light.direction.angle_between(light.direction);
+                (angle < SAME).then_some(angle / SAME + (track.level - level).abs() / SWITCH)
+            };
             let nearest = self
                 .tracks
                 .iter()
                 .enumerate()
                 .filter(|(i, _)| !self.matched.get(*i).copied().unwrap_or(true))
-                .map(|(i, track)| (i, track.light.direction.angle_between(light.direction)))
-                .min_by(|a, b| a.1.total_cmp(&b.1))
-                .filter(|&(_, angle)| angle < SAME);
+                .filter_map(|(i, track)| Some((i, off(track)?)))
+                .min_by(|a, b| a.1.total_cmp(&b.1));
             let Some((i, _)) = nearest else {
+                // If it was in the map until now, it leaves that at once.
+                if self.started && self.gain_around(light.direction) < -0.5 * level.exp2() {
+                    self.exchange(light.direction);
+                }
                 self.tracks.push(Track {
                     light,
                     level,
                     variance: FLICKER * FLICKER,
+                    seen: 1,
                     unseen: 0.0,
                 });
                 continue;
@@ -164,21 +228,36 @@ impl TemporalFilter {
                 track.level += gain * (level - track.level);
                 track.variance *= 1.0 - gain;
             }
-            let gain = (track.variance / noise).clamp(0.05, 1.0);
+            // Where a light is found jitters, but one that is carried is followed.
+            let moved = track.light.direction.angle_between(light.direction) / STEADY;
+            let jitter = (moved - 1.0).clamp(0.0, 1.0);
+            track.seen = (track.seen + 1).min(MEAN_OF);
+            let gain = (1.0 / f64::from(track.seen)).max(jitter);
             let towards = track.light.direction.lerp(light.direction, gain);
             light.direction = towards.try_normalize().unwrap_or(light.direction);
             let to = track.level.exp2() / luminance(light.irradiance).max(1e-12);
             light.irradiance = light.irradiance.map(|e| e * to);
             track.light = light;
         }
-        for (track, matched) in self.tracks.iter_mut().zip(&self.matched) {
-            if !matched {
-                track.unseen += seconds.max(1e-3);
+        for i in 0..self.matched.len() {
+            let Track { light, level, .. } = self.tracks[i];
+            if self.matched[i] {
+                continue;
+            }
+            self.tracks[i].unseen += seconds.max(1e-3);
+            // Found in the map, not gone: it joins that at once, and is no disc any more.
+            if self.gain_around(light.direction) > 0.5 * level.exp2() {
+                self.exchange(light.direction);
+                self.tracks[i].unseen = f64::INFINITY;
             }
         }
-        // A light that went out is gone from the map too: keeping it would be a ghost. One that
-        // was missed for a frame or two is kept at what it was.
-        let dark = |direction: DVec3, map: &[[f32; 3]], grid: &Grid| {
+    }
+
+    /// Forgets lights that are out. One that went out is gone from the map too: keeping it would be
+    /// a ghost. One that was missed for a frame or two is kept at what it was.
+    fn drop_dark(&mut self, scale: f64) {
+        let (map, grid) = (&self.map, &self.grid);
+        let is_dark = |direction: DVec3| {
             let [u, v] = crate::EnvironmentMap::uv_from_direction(direction);
             let x = ((u * grid.width() as f64) as usize).min(grid.width() - 1);
             let y = ((v * grid.height() as f64) as usize).min(grid.height() - 1);
@@ -186,14 +265,20 @@ impl TemporalFilter {
                 .iter()
                 .all(|&c| c < 0.5 * scale as f32)
         };
-        let (map, grid) = (&self.map, &self.grid);
         self.tracks.retain(|track| {
-            track.unseen < FORGET && !(track.unseen > 0.0 && dark(track.light.direction, map, grid))
+            track.unseen < FORGET && !(track.unseen > 0.0 && is_dark(track.light.direction))
         });
-        self.lights.clear();
-        self.lights
-            .extend(self.tracks.iter().map(|track| track.light));
     }
+}
+
+/// Texels of a row from which a block's columns begin.
+fn edge(block: usize, width: usize) -> usize {
+    block * width / BLOCKS[0]
+}
+
+/// The first block of a row of texels.
+fn block_row(y: usize, height: usize) -> usize {
+    (y * BLOCKS[1] / height) * BLOCKS[0]
 }
 
 /// Change of exposure between two pictures of an untagged camera, EV: the median log ratio of

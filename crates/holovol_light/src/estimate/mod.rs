@@ -172,6 +172,8 @@ pub struct Estimator {
     marks: Vec<u8>,
     bright: Regions,
     above: Vec<([f64; 3], DVec3)>,
+    /// Where the last estimate's lights of that kind were.
+    resolved: Vec<DVec3>,
     ceiling: f32,
     sky: Sky,
     rung: Rung,
@@ -194,6 +196,7 @@ impl Estimator {
             marks: Vec::new(),
             bright: Regions::default(),
             above: Vec::new(),
+            resolved: Vec::new(),
             ceiling: 1.0,
             sky: Sky::default(),
             rung: Rung::Single,

@@ -14,6 +14,10 @@ const BRIGHT: f64 = 16.0;
 const SMALLEST_SHARE: f64 = 0.005;
 /// At most this many are taken out.
 const MOST: usize = 16;
+/// One that was taken out of the last estimate counts as so much stronger, so that noise doesn't
+/// decide anew in every frame; it is the same within the angle of this cosine.
+const STAYS: f64 = 1.5;
+const SAME_COS: f64 = 0.9998;
 /// How sure what was seen is, EV.
 const SEEN_SIGMA: f64 = 0.05;
 
@@ -69,15 +73,22 @@ impl Estimator {
                 *moment += direction * (luminance(extra) * solid_angle);
             }
         }
-        let above = &self.above;
-        let strength = |i: &u32| luminance(above[*i as usize].0);
+        let (above, resolved) = (&self.above, &self.resolved);
+        let strength = |i: &u32| {
+            let (irradiance, moment) = above[*i as usize];
+            let direction = moment.normalize_or_zero();
+            let was = resolved.iter().any(|other| other.dot(direction) > SAME_COS);
+            luminance(irradiance) * if was { STAYS } else { 1.0 }
+        };
         self.order.retain(|i| strength(i) >= least);
         self.order
             .sort_unstable_by(|a, b| strength(b).total_cmp(&strength(a)));
         self.order.truncate(MOST);
+        self.resolved.clear();
         for &i in &self.order {
             let (irradiance, moment) = self.above[i as usize];
             let direction = moment.normalize_or(DVec3::Y);
+            self.resolved.push(direction);
             self.lights.push(Light {
                 class: if direction.y < -0.1 {
                     LightClass::Reflection
