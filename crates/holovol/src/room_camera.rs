@@ -31,6 +31,9 @@ const PERIOD: Duration = Duration::from_millis(100);
 const METERED: f64 = 0.2;
 const BRACKET_EV: f64 = -6.0;
 
+/// Shots of a virtual camera at each exposure, which then come again.
+const SHOTS: usize = 4;
+
 /// What `--camera` names.
 #[derive(Clone, Debug)]
 pub(crate) enum Source {
@@ -178,15 +181,22 @@ fn film_virtually(room: &EnvironmentMap, live: &LiveCamera, problem: &Problem) {
         Ok(shots) => shots[0].ev,
         Err(error) => return problem.set(error.to_string()),
     };
-    for shot in 1_u64.. {
-        let ev = metered + BRACKET_EV * (shot % 2) as f64;
-        let mut shots = match camera.shoot(room, &[Exposure::Fixed(ev)], shot) {
-            Ok(shots) => shots,
-            Err(error) => return problem.set(error.to_string()),
-        };
-        let pictures = shots.remove(0).pictures;
+    // The room stands still: only noise differs from shot to shot.
+    let mut taken = [const { Vec::new() }; 2];
+    for shot in 1_usize.. {
+        let (dark, turn) = (shot % 2, shot / 2 % SHOTS);
+        let ev = metered + BRACKET_EV * dark as f64;
+        let taken = &mut taken[dark];
+        if taken.len() <= turn {
+            match camera.shoot(room, &[Exposure::Fixed(ev)], shot as u64) {
+                Ok(mut shots) => taken.push(shots.remove(0).pictures),
+                Err(error) => return problem.set(error.to_string()),
+            }
+        }
         let is_wanted = live.send(LiveFrame {
-            picture: LivePicture::Fisheyes { pictures },
+            picture: LivePicture::Fisheyes {
+                pictures: taken[turn].clone(),
+            },
             ev: Some(ev),
             captured: Instant::now(),
         });

@@ -115,7 +115,7 @@ fn state(ui: &mut egui::Ui, shown: &Shown) {
     if numbers.is_waiting {
         ui.horizontal(|ui| {
             spinner(ui);
-            ui.label("sending the scan to the graphics device and compiling; once per start");
+            ui.label("sending scan or light to the graphics device, compiling what they need");
         });
         return;
     }
