@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use glam::DVec3;
 
 use super::constrain::GROUPS;
-use super::prior::gain_limit;
+use super::prior::{NEAR, gain_limit};
 use super::sky::smoothstep;
 use super::{DISC_SOLID_ANGLE, Estimator, Light, LightClass, Region, SUN_SOLID_ANGLE};
 use crate::{Grid, luminance};
@@ -69,6 +69,24 @@ impl Estimator {
             self.add_sun(i, s, direction);
         }
         self.add_regions(sun.is_some());
+    }
+
+    /// In a clear sky whose darkest exposure clips nowhere, what nearly does is taken for clipped:
+    /// a peak of few pixels is blunted by compression, and a sun that just fails to clip there
+    /// would be a rare one.
+    pub(super) fn mark_blunted_sun(&mut self) {
+        let sunny = self.ceiling >= BRACKETED && self.sky.clearness > SUN_FROM;
+        if !sunny || self.clipped.contains(&7) {
+            return;
+        }
+        let level = NEAR * self.ceiling;
+        let upper = self.grid.len() / 2;
+        let texels = self.radiance.iter().zip(&mut self.clipped).take(upper);
+        for (texel, bits) in texels {
+            if texel[0].min(texel[1]).min(texel[2]) >= level {
+                *bits = 7;
+            }
+        }
     }
 
     /// Says for each core whether it lies in the sun's halo: such cores are the sun and its glow.

@@ -221,11 +221,12 @@ impl Estimator {
         self.ceiling = merge::merge(frames, &mut self.radiance, &mut self.clipped);
         let ceiling = self.ceiling;
         let base = (-frames[0].ev).exp2() as f32;
+        self.sky = Sky::look(&self.grid, &self.radiance, merge::CLIPPED * base);
+        self.mark_blunted_sun();
         self.halos
             .find(&self.grid, &self.radiance, &self.clipped, ceiling);
         self.cores
             .find_cores(&self.grid, &self.radiance, &self.clipped, ceiling);
-        self.sky = Sky::look(&self.grid, &self.radiance, merge::CLIPPED * base);
         self.rung = match (evidence.probe, evidence.meter, frames.len() > 1) {
             (Some(_), ..) => Rung::Probe,
             (None, None, false) => Rung::Single,

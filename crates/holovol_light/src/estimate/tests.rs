@@ -214,3 +214,26 @@ fn a_lamp_is_not_taken_for_the_wall_behind_it() {
     let spot = spot.expect("the spot is a light");
     assert!(level(spot) < 1.6, "{spot:?}");
 }
+
+#[test]
+fn a_sun_that_compression_keeps_from_clipping_is_still_one() {
+    let base = expose(day, 0.0);
+    let dark = expose(day, -6.0);
+    // What clips comes out of a video coder a little below it.
+    let blunted: Vec<[f32; 3]> = dark.iter().map(|t| t.map(|c| c.min(0.93))).collect();
+    let clean = estimate(&[(0.0, base.clone()), (-6.0, dark)], None);
+    let coded = estimate(&[(0.0, base.clone()), (-6.0, blunted)], None);
+    assert_eq!(coded.lights()[0].class, LightClass::Sun);
+    assert!((coded.flux() / clean.flux() - 1.0).abs() < 0.1);
+    // A glow without a sun stays what it is.
+    let veiled = |d: DVec3| day(d).map(|c| c.min(30.0));
+    let dim = estimate(
+        &[(0.0, expose(veiled, 0.0)), (-6.0, expose(veiled, -6.0))],
+        None,
+    );
+    assert!(
+        dim.lights()
+            .iter()
+            .all(|light| light.class != LightClass::Sun)
+    );
+}
