@@ -132,15 +132,16 @@ fn through_camera(case: &Case, prior: Prior, seed: u64) -> Result<LightError512,
         )
         .map_err(|error| error.to_string())?;
     let calibration = calibration(&camera, PICTURE);
+    // One stitcher, as a camera's: a dark frame's overlap says nothing of the lenses' gains.
+    let mut stitcher = Stitcher::new(
+        &calibration,
+        PANORAMA[0],
+        PANORAMA[1],
+        DMat3::from_quat(pose),
+    )
+    .map_err(|error| error.to_string())?;
     let mut panoramas = Vec::new();
     for shot in &shots {
-        let mut stitcher = Stitcher::new(
-            &calibration,
-            PANORAMA[0],
-            PANORAMA[1],
-            DMat3::from_quat(pose),
-        )
-        .map_err(|error| error.to_string())?;
         let mut out = vec![[0.0; 3]; PANORAMA[0] * PANORAMA[1]];
         let pictures = [&shot.pictures[0][..], &shot.pictures[1][..]];
         stitcher
