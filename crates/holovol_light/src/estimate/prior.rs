@@ -26,8 +26,8 @@ impl Default for Prior {
             sun_over_sky: 2.288,
             sun_sigma: 0.6,
             gain: 1.273,
-            gain_sigma: 0.998,
-            sigma_scale: [1.72, 1.56, 0.94, 0.8, 0.58],
+            gain_sigma: 1.005,
+            sigma_scale: [1.71, 1.56, 0.94, 0.8, 0.58],
         }
     }
 }
