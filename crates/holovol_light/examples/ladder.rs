@@ -9,6 +9,7 @@ use holovol_light::evaluate::{
     CLIPPED_SHARES, Case, Given, ROTATIONS, cells_of, fit, median, observe, quantile,
     rank_correlation,
 };
+use holovol_light::measure::FluxCells;
 use rayon::prelude::*;
 
 fn main() {
@@ -58,11 +59,13 @@ fn main() {
                 let mut estimator =
                     Estimator::new(case.map.width(), case.map.height(), priors[case.panorama]);
                 case.estimate(&mut estimator, given);
-                (case.error(&cells_of(&estimator)), estimator)
+                let plain = FluxCells::from_texels(estimator.grid(), &case.plain_merge(given));
+                let plain = case.error(&plain);
+                (case.error(&cells_of(&estimator)), estimator, plain)
             })
             .collect();
         println!("=== {}", given.name());
-        for (case, (error, estimator)) in cases.iter().zip(&results) {
+        for (case, (error, estimator, plain)) in cases.iter().zip(&results) {
             let name = files[case.panorama].rsplit('/').next().unwrap_or("");
             let lights: Vec<String> = estimator
                 .lights()
@@ -76,10 +79,12 @@ fn main() {
                 })
                 .collect();
             println!(
-                "{name:32} {:5} rmse {:.2} ev {:+.2} sigma {:.2} dir {:5.1}  clear {:.2} haze {:.2} {lights:?}",
+                "{name:32} {:5} rmse {:.2} ev {:+.2} plain {:.2} {:+.2} sigma {:.2} dir {:5.1}  clear {:.2} haze {:.2} {lights:?}",
                 case.share,
                 error.irradiance_rmse,
                 error.ev_bias,
+                plain.irradiance_rmse,
+                plain.ev_bias,
                 estimator.sigma_ev(),
                 error.direction.to_degrees(),
                 estimator.sky().clearness,

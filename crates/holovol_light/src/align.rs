@@ -221,4 +221,39 @@ mod tests {
             map.radiance(DVec3::NEG_Z)
         );
     }
+
+    #[test]
+    fn a_near_light_brightens_as_one_comes_nearer() {
+        use crate::Grid;
+        use crate::estimate::{Estimator, Evidence, Exposure, LightClass, Prior};
+        let grid = Grid::new(64, 32);
+        let lamp = |i: &usize| (31..33).contains(&(i % 64)) && (15..17).contains(&(i / 64));
+        let level = |i: usize| [if lamp(&i) { 1.0 } else { 0.1 }; 3];
+        let picture: Vec<[f32; 3]> = (0..grid.len()).map(level).collect();
+        let frames = [Exposure {
+            ev: 0.0,
+            radiance: &picture,
+        }];
+        let mut estimator = Estimator::new(64, 32, Prior::default());
+        estimator.estimate(&Evidence {
+            frames: &frames,
+            ..Evidence::default()
+        });
+        // Four texels ahead, 3 m away: and from 1.5 m to its left.
+        let light = estimator.lights()[0];
+        assert!(light.direction.distance(DVec3::NEG_Z) < 1e-3);
+        let proxy = Proxy::Sphere(3.0);
+        let nearer = recentre_light(&light, proxy, DVec3::new(0.0, 0.0, -1.5));
+        let further = recentre_light(&light, proxy, DVec3::new(-1.5, 0.0, 0.0));
+        for c in 0..3 {
+            assert!((nearer.irradiance[c] / light.irradiance[c] - 4.0).abs() < 1e-2);
+            assert!((further.irradiance[c] / light.irradiance[c] - 0.8).abs() < 1e-2);
+        }
+        assert!((nearer.solid_angle / light.solid_angle - 4.0).abs() < 1e-2);
+        let towards = DVec3::new(1.5, 0.0, -3.0).normalize();
+        assert!(further.direction.distance(towards) < 2e-3);
+        let mut sun = light;
+        sun.class = LightClass::Sun;
+        assert_eq!(recentre_light(&sun, proxy, DVec3::X), sun);
+    }
 }

@@ -276,12 +276,12 @@ pub fn fit(cases: &[(&Case, &[Observation])]) -> Prior {
             .flat_map(|(_, all)| *all)
             .filter_map(|o| match *o {
                 Observation::Region {
-                    exponential,
+                    edge,
                     gain,
                     limit,
                     core,
                     flux,
-                } => Some([exponential, gain, core, flux, limit]),
+                } => Some([edge, gain, core, flux, limit]),
                 Observation::Sun(_) => None,
             })
             .collect();

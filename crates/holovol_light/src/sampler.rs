@@ -134,16 +134,19 @@ mod tests {
 
     #[test]
     fn alias_table_keeps_every_weight() {
-        let weights = [0.0, 3.0, 1e9, 2.0, 0.5, 0.0, 7.0];
-        let total: f64 = weights.iter().sum();
-        let entries = alias_table(&weights, total);
-        let mut drawn = [0.0; 7];
-        for (i, entry) in entries.iter().enumerate() {
-            drawn[i] += f64::from(entry.threshold) / 7.0;
-            drawn[entry.alias as usize] += (1.0 - f64::from(entry.threshold)) / 7.0;
-        }
-        for (weight, drawn) in weights.iter().zip(drawn) {
-            assert!((weight / total - drawn).abs() < 1e-7, "{weight}: {drawn}");
+        // One light far above the rest, and many alike.
+        for brightest in [1e9, 4.0] {
+            let weights = [0.0, 3.0, brightest, 2.0, 0.5, 0.0, 7.0];
+            let total: f64 = weights.iter().sum();
+            let entries = alias_table(&weights, total);
+            let mut drawn = [0.0; 7];
+            for (i, entry) in entries.iter().enumerate() {
+                drawn[i] += f64::from(entry.threshold) / 7.0;
+                drawn[entry.alias as usize] += (1.0 - f64::from(entry.threshold)) / 7.0;
+            }
+            for (weight, drawn) in weights.iter().zip(drawn) {
+                assert!((weight / total - drawn).abs() < 1e-7, "{weight}: {drawn}");
+            }
         }
     }
 

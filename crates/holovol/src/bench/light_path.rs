@@ -31,6 +31,14 @@ pub(super) struct EndToEnd {
     pub(super) seam: f64,
     /// The median of stitching alone, two threads.
     pub(super) stitch_milliseconds_1440: f64,
+    pub(super) panoramas: Vec<PathError>,
+}
+
+/// One panorama's irradiance RMSE and EV bias.
+#[derive(Serialize)]
+pub(super) struct PathError {
+    pub(super) direct: [f64; 2],
+    pub(super) camera: [f64; 2],
 }
 
 fn camera(pose: DQuat) -> VirtualCamera {
@@ -124,15 +132,16 @@ fn through_camera(case: &Case, prior: Prior, seed: u64) -> Result<LightError512,
         )
         .map_err(|error| error.to_string())?;
     let calibration = calibration(&camera, PICTURE);
+    // One stitcher, as a camera's: a dark frame's overlap says nothing of the lenses' gains.
+    let mut stitcher = Stitcher::new(
+        &calibration,
+        PANORAMA[0],
+        PANORAMA[1],
+        DMat3::from_quat(pose),
+    )
+    .map_err(|error| error.to_string())?;
     let mut panoramas = Vec::new();
     for shot in &shots {
-        let mut stitcher = Stitcher::new(
-            &calibration,
-            PANORAMA[0],
-            PANORAMA[1],
-            DMat3::from_quat(pose),
-        )
-        .map_err(|error| error.to_string())?;
         let mut out = vec![[0.0; 3]; PANORAMA[0] * PANORAMA[1]];
         let pictures = [&shot.pictures[0][..], &shot.pictures[1][..]];
         stitcher
@@ -163,7 +172,15 @@ pub(super) fn end_to_end(maps: &[EnvironmentMap], priors: &[Prior]) -> Result<En
     let rmse =
         |errors: &[LightError512]| median(errors.iter().map(|e| e.irradiance_rmse).collect());
     let bias = |errors: &[LightError512]| median(errors.iter().map(|e| e.ev_bias.abs()).collect());
+    let figures = |error: &LightError512| [error.irradiance_rmse, error.ev_bias];
+    let pairs = direct.iter().zip(&through);
     Ok(EndToEnd {
+        panoramas: pairs
+            .map(|(direct, camera)| PathError {
+                direct: figures(direct),
+                camera: figures(camera),
+            })
+            .collect(),
         direct_rmse: rmse(&direct),
         direct_ev_bias: bias(&direct),
         camera_rmse: rmse(&through),

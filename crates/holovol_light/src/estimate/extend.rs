@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use glam::DVec3;
 
 use super::constrain::GROUPS;
-use super::prior::gain_limit;
+use super::prior::{NEAR, gain_limit};
 use super::sky::smoothstep;
 use super::{DISC_SOLID_ANGLE, Estimator, Light, LightClass, Region, SUN_SOLID_ANGLE};
 use crate::{Grid, luminance};
@@ -44,41 +44,67 @@ impl Estimator {
         let sun = self.find_sun();
         let darkened = sun.map_or(1.0, |(_, s)| 1.0 - s * (1.0 - SUNLIT_GAIN));
         let limit = gain_limit(self.ceiling);
+        self.mark_sunlit(sun.map(|(i, _)| i));
         self.order.clear();
         self.strengths.clear();
-        for (i, region) in self.regions.regions.iter().enumerate() {
-            let gain = if region.core > 0.0 {
-                self.prior.gain_of(region.exponential_gain(), limit) * darkened
+        for (i, core) in self.cores.regions.iter().enumerate() {
+            let gain = if core.core > 0.0 {
+                self.prior.gain_of(core.edge_gain(&self.grid), limit) * darkened
             } else {
                 0.0
             };
             self.strengths.push(gain.exp2() as f32);
-            if region.core > 0.0 && Some(i as u32) != sun.map(|(i, _)| i) {
+            if core.core > 0.0 && !self.sunlit[i] {
                 self.order.push(i as u32);
             }
         }
-        let (regions, strengths) = (&self.regions.regions, &self.strengths);
-        let flux = |i: &u32| regions[*i as usize].core * strengths[*i as usize];
+        let (cores, strengths) = (&self.cores.regions, &self.strengths);
+        let flux = |i: &u32| cores[*i as usize].core * strengths[*i as usize];
         self.order
             .sort_unstable_by(|a, b| flux(b).total_cmp(&flux(a)));
-        self.assign(sun.map(|(i, _)| i));
+        self.assign(usize::from(sun.is_some()));
         if let Some((i, s)) = sun {
-            let direction = self.regions.regions[i as usize].centre();
+            let direction = self.halos.regions[i as usize].centre();
             self.glow(i, direction);
             self.add_sun(i, s, direction);
         }
         self.add_regions(sun.is_some());
     }
 
-    /// Says for each region which light it is part of.
-    fn assign(&mut self, sun: Option<u32>) {
-        self.assignment.clear();
-        self.assignment.resize(self.regions.regions.len(), u8::MAX);
-        let first = usize::from(sun.is_some());
-        if let Some(i) = sun {
-            // The sun is a disc; its region is no light of its own.
-            self.assignment[i as usize] = u8::MAX;
+    /// In a clear sky whose darkest exposure clips nowhere, what nearly does is taken for clipped:
+    /// a peak of few pixels is blunted by compression, and a sun that just fails to clip there
+    /// would be a rare one.
+    pub(super) fn mark_blunted_sun(&mut self) {
+        let sunny = self.ceiling >= BRACKETED && self.sky.clearness > SUN_FROM;
+        if !sunny || self.clipped.contains(&7) {
+            return;
         }
+        let level = NEAR * self.ceiling;
+        let upper = self.grid.len() / 2;
+        let texels = self.radiance.iter().zip(&mut self.clipped).take(upper);
+        for (texel, bits) in texels {
+            if texel[0].min(texel[1]).min(texel[2]) >= level {
+                *bits = 7;
+            }
+        }
+    }
+
+    /// Says for each core whether it lies in the sun's halo: such cores are the sun and its glow.
+    fn mark_sunlit(&mut self, sun: Option<u32>) {
+        self.sunlit.clear();
+        self.sunlit.resize(self.cores.regions.len(), false);
+        if sun.is_some() {
+            let halos = self.halos.containing(&self.cores.runs);
+            for (run, halo) in self.cores.runs.iter().zip(halos) {
+                self.sunlit[run.region as usize] |= halo == sun;
+            }
+        }
+    }
+
+    /// Says for each core which light it is part of; the sun comes first and has none.
+    fn assign(&mut self, first: usize) {
+        self.assignment.clear();
+        self.assignment.resize(self.cores.regions.len(), u8::MAX);
         for (rank, &i) in self.order.iter().enumerate() {
             self.assignment[i as usize] = (first + rank).min(GROUPS - 1) as u8;
         }
@@ -88,8 +114,8 @@ impl Estimator {
     /// how bright they are.
     fn tint(&mut self) {
         let width = self.grid.width();
-        for run in &self.regions.runs {
-            let region = &self.regions.regions[run.region as usize];
+        for run in &self.halos.runs {
+            let region = &self.halos.regions[run.region as usize];
             if region.clipped == 0.0 || region.rim.iter().any(|&c| c <= 0.0) {
                 continue;
             }
@@ -121,7 +147,7 @@ impl Estimator {
 
     /// The region that holds the sun, and how surely it is one, 0 … 1.
     fn find_sun(&self) -> Option<(u32, f64)> {
-        let candidates = self.regions.regions.iter().enumerate();
+        let candidates = self.halos.regions.iter().enumerate();
         let (i, region) = candidates
             .filter(|(_, region)| region.core > 0.0 && region.centre().y > LOWEST_SUN)
             .max_by(|a, b| a.1.core.total_cmp(&b.1.core))?;
@@ -140,11 +166,11 @@ impl Estimator {
     /// Fills a sun's region with its glow, which falls as 1/angle from one degree on: so it does
     /// on each of the fitted panoramas, out to 20° and more.
     fn glow(&mut self, i: u32, sun: DVec3) {
-        let region = self.regions.regions[i as usize];
+        let region = self.halos.regions[i as usize];
         let sun = sun.as_vec3();
         let radius = (f64::from(region.core) / PI).sqrt().min(GLOW_RADIUS) as f32;
         let width = self.grid.width();
-        for run in self.regions.runs.iter().filter(|run| run.region == i) {
+        for run in self.halos.runs.iter().filter(|run| run.region == i) {
             let y = run.y as usize;
             for x in run.start as usize..run.end as usize {
                 let at = x + width * y;
@@ -159,7 +185,7 @@ impl Estimator {
 
     /// The sun itself: so much brighter than its sky.
     fn add_sun(&mut self, i: u32, sureness: f64, direction: DVec3) {
-        let region = self.regions.regions[i as usize];
+        let region = self.halos.regions[i as usize];
         let sky = luminance(self.map_irradiance(DVec3::Y));
         let air = self.sky.transmittance(direction.y);
         let flux = self.prior.sun_over_sky.exp2() * air * sureness * sky;
@@ -182,13 +208,13 @@ impl Estimator {
         });
     }
 
-    /// The other regions, the strongest on their own, the rest as one.
+    /// The other cores, the strongest on their own, the rest as one.
     fn add_regions(&mut self, sunny: bool) {
         let own = (GROUPS - usize::from(sunny)).min(self.order.len());
         let rest = self.order.len() > own;
         for k in 0..own {
             let index = self.order[k];
-            let region = self.regions.regions[index as usize];
+            let region = self.cores.regions[index as usize];
             let strength = f64::from(self.strengths[index as usize]);
             let last = rest && k + 1 == own;
             let solid_angle = f64::from(region.core);
@@ -205,7 +231,7 @@ impl Estimator {
                 } else {
                     solid_angle * level
                 }; 3],
-                sigma_ev: self.prior.gain_sigma_of(region.exponential_gain()),
+                sigma_ev: self.prior.gain_sigma_of(region.edge_gain(&self.grid)),
                 disc: small,
                 region: if last { REST } else { index },
             });
@@ -213,7 +239,7 @@ impl Estimator {
         let first = usize::from(sunny);
         let width = self.grid.width();
         let mut rest_flux = 0.0;
-        for run in &self.regions.runs {
+        for run in &self.cores.runs {
             let light = self.assignment[run.region as usize] as usize;
             if light == usize::from(u8::MAX) || self.lights[light].disc {
                 continue;
@@ -248,7 +274,7 @@ impl Estimator {
             }
         }
         let width = self.grid.width();
-        for run in &self.regions.runs {
+        for run in &self.cores.runs {
             let light = self.assignment[run.region as usize] as usize;
             if light >= self.lights.len() || self.lights[light].disc {
                 continue;
@@ -271,7 +297,7 @@ impl Estimator {
         let mut base = self.map_irradiance(normal);
         let width = self.grid.width();
         let n = normal.as_vec3();
-        for run in &self.regions.runs {
+        for run in &self.cores.runs {
             let light = self.assignment[run.region as usize] as usize;
             if light >= self.lights.len() || self.lights[light].disc {
                 continue;

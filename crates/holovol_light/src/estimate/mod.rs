@@ -131,7 +131,7 @@ pub struct Light {
     pub sigma_ev: f64,
     /// Whether it is small enough to be a disc light: then it can be taken out of the map.
     pub disc: bool,
-    /// Its region in [`Estimator::regions`].
+    /// Its region: a sun's among the halos, another's among the cores.
     region: u32,
 }
 
@@ -160,13 +160,17 @@ pub struct Estimator {
     prior: Prior,
     radiance: Vec<[f32; 3]>,
     clipped: Vec<u8>,
-    regions: Regions,
-    /// Regions with a core but the sun's, the strongest first.
+    /// What is within 1 EV of clipping in a channel, and what is near it in all.
+    halos: Regions,
+    cores: Regions,
+    /// Clipped cores but the sun's, the strongest first.
     order: Vec<u32>,
-    /// Per region: how many times the ceiling its core is taken for.
+    /// Per core: how many times the ceiling it is taken for.
     strengths: Vec<f32>,
-    /// Per region: its light, or none (`u8::MAX`).
+    /// Per core: its light, or none (`u8::MAX`).
     assignment: Vec<u8>,
+    /// Per core: whether it lies in the sun's halo.
+    sunlit: Vec<bool>,
     lights: Vec<Light>,
     /// For small lights that were seen: marks, regions, and what each has above its level.
     marks: Vec<u8>,
@@ -188,10 +192,12 @@ impl Estimator {
             prior,
             radiance: vec![[0.0; 3]; grid.len()],
             clipped: vec![0; grid.len()],
-            regions: Regions::default(),
+            halos: Regions::default(),
+            cores: Regions::default(),
             order: Vec::new(),
             strengths: Vec::new(),
             assignment: Vec::new(),
+            sunlit: Vec::new(),
             lights: Vec::new(),
             marks: Vec::new(),
             bright: Regions::default(),
@@ -218,9 +224,12 @@ impl Estimator {
         self.ceiling = merge::merge(frames, &mut self.radiance, &mut self.clipped);
         let ceiling = self.ceiling;
         let base = (-frames[0].ev).exp2() as f32;
-        self.regions
-            .find(&self.grid, &self.radiance, &self.clipped, ceiling);
         self.sky = Sky::look(&self.grid, &self.radiance, merge::CLIPPED * base);
+        self.mark_blunted_sun();
+        self.halos
+            .find(&self.grid, &self.radiance, &self.clipped, ceiling);
+        self.cores
+            .find_cores(&self.grid, &self.radiance, &self.clipped, ceiling);
         self.rung = match (evidence.probe, evidence.meter, frames.len() > 1) {
             (Some(_), ..) => Rung::Probe,
             (None, None, false) => Rung::Single,
@@ -317,7 +326,11 @@ impl Estimator {
 
     /// How far a light may be from where it was seen, radians.
     fn misplacement(&self, light: &Light) -> f64 {
-        let region = self.regions.regions.get(light.region as usize);
+        let regions = match light.class {
+            LightClass::Sun => &self.halos.regions,
+            _ => &self.cores.regions,
+        };
+        let region = regions.get(light.region as usize);
         let core = region.map_or(light.solid_angle, |region| f64::from(region.core));
         MISPLACEMENT * (core / PI).sqrt()
     }

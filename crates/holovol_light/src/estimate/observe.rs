@@ -2,6 +2,7 @@
 
 use super::extend::REST;
 use super::prior::gain_limit;
+use super::regions::Regions;
 use super::{Estimator, LightClass};
 use crate::luminance;
 use crate::measure::luminous_flux;
@@ -15,7 +16,7 @@ pub enum Observation {
     /// A clipped region.
     Region {
         /// What its edge says of its gain, EV.
-        exponential: f64,
+        edge: f64,
         /// log₂ of its core's true mean luminance over the clipping level.
         gain: f64,
         /// Gain that no light has, EV.
@@ -39,32 +40,37 @@ impl Estimator {
             sum * f64::from(self.grid.solid_angle(y))
         };
         let all = luminous_flux(&self.grid, truth);
-        let mut found = vec![(0.0, 0.0); self.regions.regions.len()];
-        for run in &self.regions.runs {
-            let row = run.y as usize * width;
-            for i in row + run.start as usize..row + run.end as usize {
-                if self.clipped[i] == 7 {
-                    let (here, guess) = &mut found[run.region as usize];
-                    *here += flux(&truth[i..=i], run.y as usize);
-                    *guess += flux(&self.radiance[i..=i], run.y as usize);
+        let sums = |regions: &Regions| {
+            let mut found = vec![(0.0, 0.0); regions.regions.len()];
+            for run in &regions.runs {
+                let row = run.y as usize * width;
+                for i in row + run.start as usize..row + run.end as usize {
+                    if self.clipped[i] == 7 {
+                        let (here, guess) = &mut found[run.region as usize];
+                        *here += flux(&truth[i..=i], run.y as usize);
+                        *guess += flux(&self.radiance[i..=i], run.y as usize);
+                    }
                 }
             }
-        }
+            found
+        };
+        let (in_halos, in_cores) = (sums(&self.halos), sums(&self.cores));
         let lights = self.lights.iter().filter(|light| light.region != REST);
         lights
             .filter_map(|light| {
-                let (real, glow) = found[light.region as usize];
                 if light.class == LightClass::Sun {
+                    let (real, glow) = in_halos[light.region as usize];
                     let guess = luminance(light.irradiance);
                     let missing = (real - glow).max(0.02 * guess);
                     return Some(Observation::Sun(
                         (missing / guess).log2() + self.prior.sun_over_sky,
                     ));
                 }
-                let region = self.regions.regions[light.region as usize];
+                let region = self.cores.regions[light.region as usize];
+                let (real, _) = in_cores[light.region as usize];
                 let mean = real / f64::from(region.core * self.ceiling);
                 (mean > 0.0).then(|| Observation::Region {
-                    exponential: region.exponential_gain(),
+                    edge: region.edge_gain(&self.grid),
                     gain: mean.log2().max(0.0),
                     limit: gain_limit(self.ceiling),
                     core: f64::from(region.core),

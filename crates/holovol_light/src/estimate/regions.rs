@@ -1,8 +1,10 @@
 //! Connected bright regions on the sphere: run-length union–find, wrapping in longitude.
 
+use std::f64::consts::PI;
+
 use glam::DVec3;
 
-use super::prior::exponential_gain;
+use super::prior::{NEAR, edge_gain};
 use crate::Grid;
 use crate::measure::any_reaches;
 
@@ -18,7 +20,7 @@ pub(super) struct Run {
     pub region: u32,
 }
 
-/// A bright region: what is within 1 EV of clipping and touches something clipped.
+/// A bright region: texels above a level that hang together.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Region {
     /// Solid angle of all of it, sr.
@@ -40,9 +42,11 @@ impl Region {
         moment.try_normalize().unwrap_or(DVec3::Y)
     }
 
-    /// What its edge says of its gain, EV; see [`exponential_gain`].
-    pub(super) fn exponential_gain(&self) -> f64 {
-        exponential_gain(f64::from(self.halo), f64::from(self.clipped))
+    /// What the edge of a region found by [`Regions::find_cores`] says of its gain, EV; see
+    /// [`edge_gain`].
+    pub(super) fn edge_gain(&self, grid: &Grid) -> f64 {
+        let texel = 2.0 * PI * PI / grid.len() as f64;
+        edge_gain(f64::from(self.halo), f64::from(self.core), texel)
     }
 }
 
@@ -58,8 +62,30 @@ impl Regions {
     /// Labels the texels whose brightest channel reaches half the ceiling; those that touch, also
     /// at a corner or across the seam, are one region.
     pub fn find(&mut self, grid: &Grid, radiance: &[[f32; 3]], clipped: &[u8], ceiling: f32) {
+        let level = 0.5 * ceiling;
+        let bright = |texel: &[f32; 3]| texel[0].max(texel[1]).max(texel[2]) >= level;
+        self.label(grid, radiance, level, bright);
+        self.measure(grid, radiance, clipped);
+    }
+
+    /// Labels the texels whose channels are all near the ceiling ([`NEAR`]): lamps before a wall
+    /// that nearly clips are told apart, and from the wall.
+    pub fn find_cores(&mut self, grid: &Grid, radiance: &[[f32; 3]], clipped: &[u8], ceiling: f32) {
+        let level = NEAR * ceiling;
+        let near = |texel: &[f32; 3]| texel[0].min(texel[1]).min(texel[2]) >= level;
+        self.label(grid, radiance, level, near);
+        self.measure(grid, radiance, clipped);
+    }
+
+    /// Joins the texels that are `inside`, none of which is below `level` in all channels.
+    fn label(
+        &mut self,
+        grid: &Grid,
+        radiance: &[[f32; 3]],
+        level: f32,
+        inside: impl Fn(&[f32; 3]) -> bool,
+    ) {
         self.runs.clear();
-        let threshold = 0.5 * ceiling;
         let width = grid.width();
         let mut above = 0..0;
         for (y, row) in radiance.chunks_exact(width).enumerate() {
@@ -67,15 +93,14 @@ impl Regions {
             let mut start = None;
             for (block, texels) in row.chunks(BLOCK).enumerate() {
                 let x = block * BLOCK;
-                if !any_reaches(texels, threshold) {
+                if !any_reaches(texels, level) {
                     if let Some(from) = start.take() {
                         self.push(y, from, x);
                     }
                     continue;
                 }
                 for (x, texel) in (x..).zip(texels) {
-                    let bright = texel[0].max(texel[1]).max(texel[2]) >= threshold;
-                    match (bright, start) {
+                    match (inside(texel), start) {
                         (true, None) => start = Some(x),
                         (false, Some(from)) => {
                             self.push(y, from, x);
@@ -92,7 +117,19 @@ impl Regions {
             self.join(above, here.clone(), width as u32);
             above = here;
         }
-        self.measure(grid, radiance, clipped);
+    }
+
+    /// For each run of regions that lie within these: which of these it lies in.
+    pub fn containing<'a>(&'a self, inner: &'a [Run]) -> impl Iterator<Item = Option<u32>> + 'a {
+        let mut i = 0;
+        inner.iter().map(move |run| {
+            let before = |outer: &Run| (outer.y, outer.end) <= (run.y, run.start);
+            while self.runs.get(i).is_some_and(before) {
+                i += 1;
+            }
+            let outer = self.runs.get(i)?;
+            (outer.y == run.y && outer.start <= run.start).then_some(outer.region)
+        })
     }
 
     fn push(&mut self, y: usize, start: usize, end: usize) {
@@ -269,5 +306,39 @@ mod tests {
         assert_eq!(regions.regions.len(), 1);
         let (regions, _) = find(&["........", "#..++...", "........"]);
         assert_eq!((regions.regions.len(), cores(&regions)), (2, 1));
+    }
+
+    #[test]
+    fn cores_before_a_bright_wall_are_told_apart_and_know_their_halo() {
+        // The wall is '+', 0.6 of the ceiling: one halo, two cores, one of them with an edge.
+        let rows = ["........", "++#++#-+", "++++++++", "........", "#......."];
+        let grid = Grid::new(8, 5);
+        let level = |b: u8| match b {
+            b'#' => 1.0,
+            b'-' => 0.9,
+            b'+' => 0.6,
+            _ => 0.1,
+        };
+        let bytes: Vec<u8> = rows.iter().flat_map(|row| row.bytes()).collect();
+        let radiance: Vec<[f32; 3]> = bytes.iter().map(|&b| [level(b); 3]).collect();
+        let clipped: Vec<u8> = bytes.iter().map(|&b| 7 * u8::from(b == b'#')).collect();
+        let (mut halos, mut found) = (Regions::default(), Regions::default());
+        halos.find(&grid, &radiance, &clipped, 1.0);
+        found.find_cores(&grid, &radiance, &clipped, 1.0);
+        assert_eq!((cores(&halos), cores(&found)), (2, 3));
+        let texel = grid.solid_angle(1);
+        let sizes: Vec<f32> = found
+            .regions
+            .iter()
+            .map(|r| (r.halo / texel).round())
+            .collect();
+        assert_eq!(sizes[..2], [1.0, 2.0]);
+        assert!(found.regions[0].edge_gain(&grid) > found.regions[1].edge_gain(&grid));
+        let within: Vec<Option<u32>> = halos.containing(&found.runs).collect();
+        assert_eq!(within, [Some(0), Some(0), Some(1)]);
+        // One channel near the ceiling does not make a core.
+        let red: Vec<[f32; 3]> = radiance.iter().map(|t| [t[0], 0.5 * t[0], 0.5]).collect();
+        found.find_cores(&grid, &red, &clipped, 1.0);
+        assert!(found.regions.is_empty());
     }
 }

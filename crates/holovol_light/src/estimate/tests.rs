@@ -185,3 +185,55 @@ fn whatever_comes_light_is_finite_and_not_negative() {
         }
     }
 }
+
+/// A wall that nearly clips, with a spot that does and fades, and a lamp before it.
+fn lit_wall(lamp: f64) -> impl Fn(DVec3) -> [f64; 3] {
+    move |direction| {
+        let spot = direction.angle_between(DVec3::new(0.2, 0.3, -0.9).normalize());
+        let at = direction.angle_between(DVec3::new(-0.5, 0.1, -0.85).normalize());
+        let wall = if direction.z < -0.7 { 0.7 } else { 0.1 };
+        let level = if at < 0.06 {
+            lamp
+        } else {
+            wall + 0.6 * (1.0 - spot / 0.5).max(0.0)
+        };
+        [level; 3]
+    }
+}
+
+#[test]
+fn a_lamp_is_not_taken_for_the_wall_behind_it() {
+    let lit = estimate(&[(0.0, expose(lit_wall(40.0), 0.0))], None);
+    let towards = DVec3::new(-0.5, 0.1, -0.85).normalize();
+    let near = |light: &&Light| light.direction.angle_between(towards) < 0.05;
+    let lamp = lit.lights().iter().find(near).expect("the lamp is a light");
+    let level = |light: &Light| luminance(light.irradiance) / light.solid_angle;
+    assert!(lamp.disc && level(lamp) > 1.5, "{lamp:?}");
+    // The spot is at most 1.3.
+    let spot = lit.lights().iter().find(|light| !near(light));
+    let spot = spot.expect("the spot is a light");
+    assert!(level(spot) < 1.6, "{spot:?}");
+}
+
+#[test]
+fn a_sun_that_compression_keeps_from_clipping_is_still_one() {
+    let base = expose(day, 0.0);
+    let dark = expose(day, -6.0);
+    // What clips comes out of a video coder a little below it.
+    let blunted: Vec<[f32; 3]> = dark.iter().map(|t| t.map(|c| c.min(0.93))).collect();
+    let clean = estimate(&[(0.0, base.clone()), (-6.0, dark)], None);
+    let coded = estimate(&[(0.0, base.clone()), (-6.0, blunted)], None);
+    assert_eq!(coded.lights()[0].class, LightClass::Sun);
+    assert!((coded.flux() / clean.flux() - 1.0).abs() < 0.1);
+    // A glow without a sun stays what it is.
+    let veiled = |d: DVec3| day(d).map(|c| c.min(30.0));
+    let dim = estimate(
+        &[(0.0, expose(veiled, 0.0)), (-6.0, expose(veiled, -6.0))],
+        None,
+    );
+    assert!(
+        dim.lights()
+            .iter()
+            .all(|light| light.class != LightClass::Sun)
+    );
+}

@@ -33,8 +33,8 @@ const ROOKS: [[f64; 2]; 8] = [
 ];
 /// Counts clipped pixels in the same sum as their light, which stays far below it.
 const FLAG: f32 = 64.0;
-/// Codes from here on are clipped.
-const CLIPPED_CODE: u8 = 253;
+/// Codes from here on are clipped: a video coder's ringing takes some of what is.
+const CLIPPED_CODE: u8 = 249;
 /// Share of a new frame's gain that is taken over at once.
 const GAIN_RATE: f32 = 0.1;
 
