@@ -180,7 +180,9 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
                 transfer_sigma_t(values.x), transfer_sigma_t(values.y), transfer_sigma_t(values.z),
             );
         }
-        for (var k = 0u; k < PARTS; k += 1u) {
+        // Where there is nothing, nothing is added up.
+        let parts = select(0u, PARTS, sigma.x + sigma.y + sigma.z > 0.0);
+        for (var k = 0u; k < parts; k += 1u) {
             let part = (f32(k) + 0.5) / f32(PARTS);
             let value = select(select(values.z, values.y, k == 1u), values.x, k == 0u);
             let sigma_t = select(select(sigma.z, sigma.y, k == 1u), sigma.x, k == 0u);
