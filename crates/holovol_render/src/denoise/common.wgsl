@@ -50,8 +50,10 @@ struct Denoise {
     tiles: vec4<f32>,
     // Bias of light that differs x: in the last frame's filtered image, y: in this frame's own;
     // z: factor on what guides of the last frame must agree, per radian that a place has turned;
-    // w: unused.
+    // w: of light as the guides expect it.
     edges: vec4<f32>,
+    // xyz: toward the dominant light, world space; w: 0 if there is none.
+    sun: vec4<f32>,
 }
 
 const HISTORY_NONE: u32 = 0u;
@@ -100,6 +102,15 @@ struct Key {
     spread: f32,
     // Frames that the estimate is worth.
     frames: f32,
+    // What the dominant source is expected to add to light, in units of its own.
+    light: f32,
+}
+
+// Of what was met; halves smaller than this lose digits.
+const LEAST_ALBEDO: f32 = 1e-4;
+
+fn is_met(words: vec4<u32>) -> bool {
+    return (words.x & 0xffffu) != 0u;
 }
 
 // Octahedral: Cigolle et al. 2014.
@@ -121,7 +132,7 @@ fn unpack_normal(word: u32) -> vec3<f32> {
 fn pack_key(key: Key) -> vec4<u32> {
     let relative_spread = min(key.spread / max(key.depth, 1e-30), 60000.0);
     return vec4<u32>(
-        bitcast<u32>(key.albedo),
+        pack2x16float(vec2<f32>(key.albedo, key.light)),
         pack_normal(key.normal),
         bitcast<u32>(key.depth),
         pack2x16float(vec2<f32>(relative_spread, min(key.frames, 60000.0))),
@@ -129,11 +140,10 @@ fn pack_key(key: Key) -> vec4<u32> {
 }
 
 fn unpack_key(words: vec4<u32>) -> Key {
+    let first = unpack2x16float(words.x);
     let pair = unpack2x16float(words.w);
     let depth = bitcast<f32>(words.z);
-    return Key(
-        bitcast<f32>(words.x), unpack_normal(words.y), depth, depth * pair.x, pair.y,
-    );
+    return Key(first.x, unpack_normal(words.y), depth, depth * pair.x, pair.y, first.y);
 }
 
 fn with_frames(words: vec4<u32>, frames: f32) -> vec4<u32> {
@@ -182,11 +192,11 @@ fn tile_at(eye: u32, position: vec2<u32>, part: u32) -> vec4<f32> {
     return mix(mix(v00, v10, weight.x), mix(v01, v11, weight.x), weight.y);
 }
 
-// Tiles: three vectors of sums, two of memory by halves, two of results; then of their rows.
+// Tiles: four vectors of sums, two of memory by halves, three of results; then of their rows.
 fn tile_sums(part: u32) -> u32 { return part * denoise.counts.z; }
-fn tile_memory(now: bool) -> u32 {
+fn tile_memory(now: bool, part: u32) -> u32 {
     let half = select(1u - denoise.halves.z, denoise.halves.z, now);
-    return (3u + half) * denoise.counts.z;
+    return (4u + 2u * part + half) * denoise.counts.z;
 }
-fn tile_result(part: u32) -> u32 { return (5u + part) * denoise.counts.z; }
-fn tile_rows(part: u32) -> u32 { return (7u + TILE * part) * denoise.counts.z; }
+fn tile_result(part: u32) -> u32 { return (8u + part) * denoise.counts.z; }
+fn tile_rows(part: u32) -> u32 { return (11u + TILE * part) * denoise.counts.z; }

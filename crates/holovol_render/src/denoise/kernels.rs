@@ -20,6 +20,7 @@ const USED: &[&str] = &[
     "UNROLLED_POINTS",
     "HARDWARE_INTERPOLATION",
     "SLICES",
+    "SURFACE",
     "MESH_DEPTH",
     "CLIP_PLANES",
     "CLIP_PLANES_MAX",

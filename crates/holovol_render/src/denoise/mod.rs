@@ -13,12 +13,13 @@ mod kernels;
 mod light;
 mod passes;
 mod settings;
+mod sun;
 mod uniforms;
 
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
-use glam::{DMat4, DVec4};
+use glam::{DMat3, DMat4, DVec4};
 
 use crate::shader::{ShaderFile, shader_file};
 use crate::{FrameImage, FrameTracer, Gpu, Medium, RenderError, View};
@@ -31,6 +32,7 @@ pub(crate) use passes::pass_defs;
 #[cfg(test)]
 pub(crate) use passes::{HOLOVOL, PAPER};
 pub use settings::{DenoiseMode, DenoiseSettings, PaperSettings};
+pub(crate) use sun::Sun;
 use uniforms::{DenoiseUniform, EyeUniform, History, projection};
 
 pub(crate) const GUIDES: ShaderFile = shader_file!("guides/guides.wgsl");
@@ -45,7 +47,7 @@ const STATE: u64 = 2;
 const LIGHTS: u64 = 3;
 const KEYS: u64 = 3;
 const COUNTS: u64 = 3;
-const TILES: u64 = 7 + 3 * TILE as u64;
+const TILES: u64 = 11 + 4 * TILE as u64;
 /// A change of light T leaves at most this · (1 − T)/T frames: 0.21 frames of 0.85. More would be
 /// seen as a ghost.
 const KEPT_FRAMES: f32 = 1.2;
@@ -73,6 +75,7 @@ pub struct DenoiseFrame<'a> {
 struct Before {
     views: Vec<View>,
     medium: Medium,
+    sun: [f32; 4],
 }
 
 /// Denoises the images of one [`FrameTracer`].
@@ -200,8 +203,11 @@ impl Denoiser {
         }
         let medium = tracer.medium();
         let views: Vec<_> = images.iter().map(|image| image.view).collect();
-        let same =
-            self.is_same(&views, medium) && frame.light_change <= 0.0 && !frame.meshes_changed;
+        let sun = self.sun(tracer);
+        let same = self.is_same(&views, medium)
+            && self.before.as_ref().is_some_and(|before| before.sun == sun)
+            && frame.light_change <= 0.0
+            && !frame.meshes_changed;
         if !same {
             self.half = 1 - self.half;
             self.gathered = 0;
@@ -209,7 +215,8 @@ impl Denoiser {
         self.tile_half = 1 - self.tile_half;
         let samples = images.iter().map(|image| image.samples).min();
         self.gathered = self.gathered.saturating_add(samples.unwrap_or(0));
-        let uniform = self.uniform(&images, frame, medium, same);
+        let mut uniform = self.uniform(&images, frame, medium, same);
+        uniform.sun = sun;
         let (Some(buffers), Some(guides)) = (&self.buffers, guides) else {
             return Ok(());
         };
@@ -218,6 +225,7 @@ impl Denoiser {
         self.before = Some(Before {
             views,
             medium: medium.clone(),
+            sun,
         });
         if same {
             return Ok(());
@@ -271,6 +279,18 @@ impl Denoiser {
         self.before
             .as_ref()
             .is_some_and(|before| before.medium == *medium && before.views == views)
+    }
+
+    /// Toward the dominant light, if guides are to know of it: world space, and 1.
+    fn sun(&self, tracer: &FrameTracer) -> [f32; 4] {
+        let medium = tracer.medium();
+        let sun = tracer
+            .sun()
+            .filter(|sun| sun.share >= self.settings.sun_share && !self.settings.is_paper());
+        sun.map_or([0.0; 4], |sun| {
+            let turn = DMat3::from_rotation_y(medium.environment_rotation_y);
+            (turn * sun.direction).extend(1.0).as_vec4().to_array()
+        })
     }
 
     fn uniform(
@@ -411,7 +431,7 @@ impl Denoiser {
         let depth = |words: &[u32; 4]| {
             let spread = half::f16::from_bits(words[3] as u16).to_f32();
             let depth = f32::from_bits(words[2]);
-            if f32::from_bits(words[0]) > 0.0 {
+            if words[0] & 0xffff != 0 {
                 [depth, depth * spread]
             } else {
                 [0.0; 2]

@@ -60,6 +60,11 @@ pub struct DenoiseSettings {
     pub light_bias: f32,
     /// Bias expected of light that differs as much in this frame's own, by more than its noise.
     pub near_bias: f32,
+    /// Bias expected of light of the dominant source that differs as much, as guides know it.
+    pub sun_bias: f32,
+    /// Share of the irradiance that the dominant source needs for guides to know of it: a shadow ray
+    /// for each pixel.
+    pub sun_share: f64,
     /// Bias expected of the other eye.
     pub eye_bias: f32,
     /// How much guides of the last frame, of the other eye, must agree.
@@ -91,6 +96,8 @@ impl Default for DenoiseSettings {
             opacity_bias: 0.12,
             light_bias: 4.0,
             near_bias: 4.0,
+            sun_bias: 1.0,
+            sun_share: 0.2,
             eye_bias: 0.003,
             strictness: [30.0, 60.0],
             turn_strictness: 95.0,
@@ -130,6 +137,11 @@ impl DenoiseSettings {
         let [frames, eyes] = self.strictness;
         uniform.across = [frames, eyes, self.eye_bias, self.first_variance];
         uniform.tiles = [self.correction, self.shortening, dark * dark, self.memory];
-        uniform.edges = [self.light_bias, self.near_bias, self.turn_strictness, 0.0];
+        uniform.edges = [
+            self.light_bias,
+            self.near_bias,
+            self.turn_strictness,
+            self.sun_bias,
+        ];
     }
 }

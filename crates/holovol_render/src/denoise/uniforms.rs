@@ -31,6 +31,7 @@ pub(super) struct DenoiseUniform {
     pub(super) across: [f32; 4],
     pub(super) tiles: [f32; 4],
     pub(super) edges: [f32; 4],
+    pub(super) sun: [f32; 4],
 }
 
 /// What the passes may take from the frame before.

@@ -443,6 +443,11 @@ impl FrameTracer {
         &self.buffers.accumulators
     }
 
+    /// The environment's dominant light, in its map's frame.
+    pub(crate) fn sun(&self) -> Option<crate::denoise::Sun> {
+        self.environment.sun()
+    }
+
     /// What other kernels need in order to look at the volume as the tracer does.
     pub(crate) fn matter(&self) -> Matter<'_> {
         Matter {

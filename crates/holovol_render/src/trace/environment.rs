@@ -1,6 +1,7 @@
 use holovol_light::{EnvironmentMap, EnvironmentSampler};
 use wgpu::util::DeviceExt;
 
+use crate::denoise::Sun;
 use crate::{Gpu, RenderError};
 
 /// An environment map in the device's memory, with the table that light is drawn from.
@@ -11,6 +12,8 @@ pub struct GpuEnvironment {
     pub(super) alias: wgpu::TextureView,
     size: [u32; 2],
     constant: Option<[f32; 3]>,
+    /// Where most light comes from.
+    sun: Option<Sun>,
     /// 1 / integral of importance; `None` if nothing can be drawn: a constant or a black map.
     normalisation: Option<f64>,
 }
@@ -101,6 +104,7 @@ impl GpuEnvironment {
             alias,
             size: [width, height],
             constant,
+            sun: Sun::find(map),
             normalisation: sampler.map(|sampler| sampler.normalisation()),
         })
     }
@@ -108,6 +112,11 @@ impl GpuEnvironment {
     /// Whether its radiance is the same from everywhere.
     pub fn is_constant(&self) -> bool {
         self.constant.is_some()
+    }
+
+    /// Its dominant light, in the map's frame.
+    pub(crate) fn sun(&self) -> Option<Sun> {
+        self.sun
     }
 
     /// Whether directions can be drawn from its table.

@@ -9,14 +9,14 @@ use holovol_render::{
     GpuEnvironment, GpuVolume, Interpolation, Kernels, Medium, PaperSettings, TraceOptions, View,
     ViewFrame,
 };
-use holovol_scene::Camera;
+use holovol_scene::{Camera, Scene};
 use holovol_volume::TransferFunction;
 
 use super::scenes;
 
-type Images = Vec<Vec<[f32; 4]>>;
+pub(super) type Images = Vec<Vec<[f32; 4]>>;
 
-fn text(error: impl std::fmt::Display) -> String {
+pub(super) fn text(error: impl std::fmt::Display) -> String {
     error.to_string()
 }
 
@@ -34,9 +34,9 @@ fn modes() -> [DenoiseMode; 2] {
     ]
 }
 
-struct Rig<'a> {
+pub(super) struct Rig<'a> {
     gpu: &'a Gpu,
-    tracer: FrameTracer,
+    pub(super) tracer: FrameTracer,
     medium: Medium,
     /// If not that of the images themselves.
     room: Option<[u32; 2]>,
@@ -44,14 +44,17 @@ struct Rig<'a> {
 
 impl<'a> Rig<'a> {
     fn new(gpu: &'a Gpu) -> Result<Self, String> {
-        let scene = scenes::scene();
+        Self::of(gpu, &scenes::scene())
+    }
+
+    pub(super) fn of(gpu: &'a Gpu, scene: &Scene) -> Result<Self, String> {
         let kernels = Arc::new(Kernels::new(gpu).map_err(text)?);
         let volume =
             GpuVolume::new(gpu, &scene.volume, Interpolation::Exact, false).map_err(text)?;
         let environment = GpuEnvironment::new(gpu, &scene.environment.map).map_err(text)?;
         let medium = Medium {
             max_scatters: Some(1),
-            ..Medium::from_scene(&scene)
+            ..Medium::from_scene(scene)
         };
         let tracer = FrameTracer::new(
             gpu,
@@ -71,8 +74,12 @@ impl<'a> Rig<'a> {
     }
 
     fn denoiser(&self, mode: DenoiseMode) -> Result<Denoiser, String> {
+        self.denoiser_of(settings(mode))
+    }
+
+    pub(super) fn denoiser_of(&self, settings: DenoiseSettings) -> Result<Denoiser, String> {
         let kernels = DenoiseKernels::new(self.gpu).map_err(text)?;
-        Ok(Denoiser::new(self.gpu, Arc::new(kernels), settings(mode)))
+        Ok(Denoiser::new(self.gpu, Arc::new(kernels), settings))
     }
 
     fn submit(&self, encoder: wgpu::CommandEncoder) -> Result<(), String> {
@@ -82,7 +89,7 @@ impl<'a> Rig<'a> {
         Ok(())
     }
 
-    fn trace(&mut self, cameras: &[Camera], samples: u32) -> Result<(), String> {
+    pub(super) fn trace(&mut self, cameras: &[Camera], samples: u32) -> Result<(), String> {
         self.tracer.set_medium(&self.medium).map_err(text)?;
         let room = |c: &Camera| self.room.unwrap_or([c.width, c.height]);
         let rooms: Vec<_> = cameras.iter().map(room).collect();
@@ -113,7 +120,11 @@ impl<'a> Rig<'a> {
         }
     }
 
-    fn denoise(&self, denoiser: &mut Denoiser, slots: &[usize]) -> Result<Images, String> {
+    pub(super) fn denoise(
+        &self,
+        denoiser: &mut Denoiser,
+        slots: &[usize],
+    ) -> Result<Images, String> {
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
         let frame = DenoiseFrame {
             slots,
@@ -147,7 +158,7 @@ fn all_finite(images: &Images) -> Result<(), String> {
     }
 }
 
-fn rms(values: impl Iterator<Item = f64>) -> f64 {
+pub(super) fn rms(values: impl Iterator<Item = f64>) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for value in values {
         sum += value * value;

@@ -2,6 +2,7 @@
 //! draw what they evaluate, and bound what they skip. Then damages them, to see that it shows.
 
 mod denoise;
+mod denoise_sun;
 mod denoise_twins;
 mod determinism;
 mod draws;
@@ -94,6 +95,14 @@ const CHECKS: &[(&str, Check)] = &[
     (
         "denoiser_keeps_history_at_other_resolutions",
         denoise::resolutions_share_history,
+    ),
+    (
+        "denoiser_keeps_shadows_of_a_sun_sharp",
+        denoise_sun::shadows_stay_sharp,
+    ),
+    (
+        "denoiser_notices_another_sun",
+        denoise_sun::another_sun_is_another_frame,
     ),
     (
         "denoiser_refuses_wrong_eyes",

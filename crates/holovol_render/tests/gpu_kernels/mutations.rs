@@ -3,7 +3,10 @@
 use holovol_render::Gpu;
 use holovol_render::testing::Mutation;
 
-use super::{Check, denoise, denoise_twins, determinism, draws, frames, functions, grids, guides};
+use super::{
+    Check, denoise, denoise_sun, denoise_twins, determinism, draws, frames, functions, grids,
+    guides,
+};
 
 /// How a failure to compose or compile a kernel begins, see `RenderError::Internal`.
 const INVALID: &str = "internal error in";
@@ -56,6 +59,7 @@ const TRACE: &str = "trace.wgsl";
 const DENOISE: &str = "holovol/holovol.wgsl";
 const GUIDE_KEYS: &str = "denoise/common.wgsl";
 const PAPER: &str = "paper/paper.wgsl";
+const MARCH: &str = "guides/guides.wgsl";
 
 pub const MUTATIONS: &[Caught] = &[
     caught(
@@ -147,6 +151,36 @@ pub const MUTATIONS: &[Caught] = &[
         "worth_of(eye) * difference.w",
         "difference.w",
         denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "let change = gain * (key.light - there.light);",
+        "let change = gain * (there.light - key.light);",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "vec4<f32>(light_a.rgb - light_b.rgb, expected)",
+        "vec4<f32>(light_b.rgb - light_a.rgb, expected)",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "vec4<f32>(gain * explained, 0.0)",
+        "vec4<f32>(0.0)",
+        denoise_twins::holovol,
+    ),
+    caught(
+        MARCH,
+        "dot(scene.texel_from_world_y.xyz, wi),",
+        "-dot(scene.texel_from_world_y.xyz, wi),",
+        denoise_sun::shadows_stay_sharp,
+    ),
+    caught(
+        MARCH,
+        "* reached * key.albedo",
+        "* key.albedo",
+        denoise_sun::shadows_stay_sharp,
     ),
     caught(
         DENOISE,

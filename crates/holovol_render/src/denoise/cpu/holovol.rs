@@ -17,6 +17,8 @@ const PAYS: f32 = 0.9;
 const NARROWER: [f32; 2] = [0.5, 16.0];
 const MOST_STRICT: f32 = 8.0;
 const EDIT: [f32; 2] = [0.05, 0.5];
+const PAIR: u32 = 2;
+const SLOPE_PRIOR: f32 = 0.1;
 
 #[derive(Clone, Copy, Default)]
 struct Fetched {
@@ -24,6 +26,11 @@ struct Fetched {
     frames: f32,
     filtered: f32,
     fit: f32,
+}
+
+/// Light that is not negative, with any opacity.
+fn not_negative(light: Vec4) -> Vec4 {
+    light.truncate().max(Vec3::ZERO).extend(light.w)
 }
 
 impl Memory {
@@ -39,17 +46,17 @@ impl Memory {
         part * self.tile_count()
     }
 
-    fn tile_memory(&self, now: bool) -> usize {
+    fn tile_memory(&self, now: bool, part: usize) -> usize {
         let half = self.uniform.halves[2] as usize;
-        (3 + if now { half } else { 1 - half }) * self.tile_count()
+        (4 + 2 * part + if now { half } else { 1 - half }) * self.tile_count()
     }
 
     fn tile_result(&self, part: usize) -> usize {
-        (5 + part) * self.tile_count()
+        (8 + part) * self.tile_count()
     }
 
     fn tile_rows(&self, part: usize) -> usize {
-        (7 + TILE as usize * part) * self.tile_count()
+        (11 + TILE as usize * part) * self.tile_count()
     }
 
     /// Tiles across and down.
@@ -74,14 +81,23 @@ impl Memory {
         top.lerp(value(0, 1).lerp(value(1, 1), weight.x), weight.y)
     }
 
+    /// Light per unit of what guides expect of the dominant source.
+    fn light_gain(&self, eye: usize, position: UVec2) -> Vec3 {
+        if self.uniform.sun[3] > 0.0 {
+            self.tile_at(eye, position, 2).truncate()
+        } else {
+            Vec3::ZERO
+        }
+    }
+
     /// Of an image: pixels across and down, and where its first is in keys, state and counts.
     fn fetch(
         &self,
         key: Key,
         place: Vec3,
         image: [usize; 3],
-        pixel_size: f32,
-        strictness: f32,
+        [pixel_size, strictness]: [f32; 2],
+        gain: Vec3,
     ) -> Fetched {
         let [width, height, first] = image;
         let size = Vec2::new(width as f32, height as f32);
@@ -110,15 +126,16 @@ impl Memory {
             let w =
                 side(offset.x, weight.x) * side(offset.y, weight.y) / (1.0 + strictness * distance);
             total += w;
-            found.light += w * self.state[pixel];
+            let change = gain * (key.light - there.light);
+            found.light += w * (self.state[pixel] + change.extend(0.0));
             found.frames += w * self.counts[pixel].x;
-            found.filtered += w * self.counts[pixel].y;
+            found.filtered += w * (self.counts[pixel].y + mean_rgb(change));
         }
         if total < NO_WEIGHT {
             return Fetched::default();
         }
-        found.light /= total;
-        found.filtered /= total;
+        found.light = not_negative(found.light / total);
+        found.filtered = (found.filtered / total).max(0.0);
         found.fit = total;
         found
     }
@@ -157,7 +174,9 @@ impl Memory {
             let factor = (self.uniform.edges[2] * turn).clamp(1.0, MOST_STRICT);
             let strictness = self.uniform.across[0] * factor;
             let last = self.image_before(eye, self.before());
-            before = self.fetch(turned, there, last, self.pixel_size(eye), strictness);
+            let gain = self.eye(eye).history[3] * self.light_gain(eye, position);
+            let bounds = [self.pixel_size(eye), strictness];
+            before = self.fetch(turned, there, last, bounds, gain);
         }
         let [most, factor, change, _] = self.eye(eye).history;
         before.frames = (before.frames * factor).min(most);
@@ -168,7 +187,7 @@ impl Memory {
     }
 
     pub(super) fn reproject(&mut self) {
-        let rows = self.tile_rows(0)..self.tile_rows(3);
+        let rows = self.tile_rows(0)..self.tile_rows(4);
         self.tiles[rows].fill(Vec4::ZERO);
         self.each_pixel(|m, eye, position, pixel| {
             let before = m.history_of(eye, position, pixel);
@@ -177,6 +196,10 @@ impl Memory {
             m.counts[both] = Vec2::new(before.frames, before.filtered);
             let scale = m.albedo(pixel) + ALBEDO_FLOOR;
             let is_met = m.key(m.now() + pixel).albedo > 0.0;
+            let row = TILE as usize * m.tile(eye, position / TILE) + (position.y % TILE) as usize;
+            let at = m.tile_rows(3) + row;
+            let slope = m.light_slope(eye, position);
+            m.tiles[at] += slope;
             let Some(light) = m.new_light(eye, pixel) else {
                 return;
             };
@@ -195,7 +218,6 @@ impl Memory {
                 old.extend(mean * mean),
                 (w * Vec3::new(d * by_filter, by_filter * by_filter, d * d)).extend(1.0),
             ];
-            let row = TILE as usize * m.tile(eye, position / TILE) + (position.y % TILE) as usize;
             for (part, sum) in sums.into_iter().enumerate() {
                 let at = m.tile_rows(part) + row;
                 m.tiles[at] += sum;
@@ -203,8 +225,28 @@ impl Memory {
         });
     }
 
+    /// Sums of least squares between two pixels, for the light's gain.
+    fn light_slope(&self, eye: usize, position: UVec2) -> Vec4 {
+        let is_across = (position.x ^ position.y) & 1 == 0;
+        let offset = if is_across { [PAIR, 0] } else { [0, PAIR] };
+        let there = position + UVec2::from(offset);
+        if there.cmpge(self.size(eye)).any() || self.uniform.sun[3] <= 0.0 {
+            return Vec4::ZERO;
+        }
+        let [a, b] = [position, there].map(|at| self.pixel(eye, at.x, at.y));
+        let [key_a, key_b] = [a, b].map(|pixel| self.key(self.now() + pixel));
+        let expected = key_a.light - key_b.light;
+        if key_a.albedo <= 0.0 || key_b.albedo <= 0.0 {
+            return Vec4::ZERO;
+        }
+        match [a, b].map(|pixel| self.new_light(eye, pixel)) {
+            [Some(a), Some(b)] => expected * (a - b).truncate().extend(expected),
+            _ => Vec4::ZERO,
+        }
+    }
+
     pub(super) fn add_rows(&mut self) {
-        for part in 0..3 {
+        for part in 0..4 {
             for tile in 0..self.tile_count() {
                 let rows = self.tile_rows(part) + TILE as usize * tile;
                 let sum = self.tiles[rows..rows + TILE as usize].iter().sum();
@@ -231,6 +273,8 @@ impl Memory {
         let last = self.grid(eye).as_ivec2() - 1;
         let (mut difference, mut old, mut memory) = (Vec4::ZERO, Vec4::ZERO, Vec4::ZERO);
         let mut own = Vec4::ZERO;
+        let (mut slope, mut own_slope) = (Vec4::ZERO, Vec4::ZERO);
+        let slope_factor = memory_factor * (1.0 - self.eye(eye).history[2]);
         let mut variance = 0.0;
         for y in -1..2 {
             for x in -1..2 {
@@ -242,12 +286,16 @@ impl Memory {
                 variance += w * w * sums.w;
                 old += w * self.tiles[self.tile_sums(1) + tile];
                 let mut remembered = self.tiles[self.tile_sums(2) + tile];
+                let mut expected = self.tiles[self.tile_sums(3) + tile];
                 if self.history(eye) != History::None as u32 {
-                    remembered += memory_factor * self.tiles[self.tile_memory(false) + tile];
+                    remembered += memory_factor * self.tiles[self.tile_memory(false, 0) + tile];
+                    expected += slope_factor * self.tiles[self.tile_memory(false, 1) + tile];
                 }
                 memory += w * remembered;
+                slope += w * expected;
                 if (x, y) == (0, 0) {
                     own = remembered;
+                    own_slope = expected;
                 }
             }
         }
@@ -270,9 +318,15 @@ impl Memory {
         } else {
             self.uniform.across[3]
         };
+        let mut gain = slope.truncate().max(Vec3::ZERO) / (slope.w + SLOPE_PRIOR);
+        if self.uniform.sun[3] <= 0.0 {
+            gain = Vec3::ZERO;
+        }
         let tile = self.tile(eye, place);
         let results = [
-            (self.tile_memory(true), own),
+            (self.tile_memory(true, 0), own),
+            (self.tile_memory(true, 1), own_slope),
+            (self.tile_result(2), gain.extend(0.0)),
             (self.tile_result(0), correction.extend(shortening)),
             (
                 self.tile_result(1),
@@ -318,7 +372,9 @@ impl Memory {
                 let there = project(&m.eye(eye).other, here);
                 let [_, strictness, eye_bias, _] = m.uniform.across;
                 let image = m.image(1 - eye, m.now());
-                let other = m.fetch(key, there, image, m.pixel_size(1 - eye), strictness);
+                let gain = m.light_gain(eye, position);
+                let bounds = [m.pixel_size(1 - eye), strictness];
+                let other = m.fetch(key, there, image, bounds, gain);
                 if other.frames > 0.0 {
                     let noise = m.tile_at(eye, position, 1).y;
                     let worth = other.frames / (1.0 + other.frames * eye_bias / noise);
@@ -347,6 +403,7 @@ impl Memory {
             return Vec4::ZERO;
         }
         let noise = self.tile_at(eye, position, 1).y;
+        let gain = mean_rgb(self.light_gain(eye, position));
         let middle = position.as_ivec2();
         let low = (middle - 1).max(IVec2::ZERO);
         let high = (middle + 1).min(self.size(eye).as_ivec2() - 1);
@@ -358,7 +415,9 @@ impl Memory {
                 let bias = self.guide_distance(key, there, self.pixel_size(eye));
                 let fits = 1.0 / (1.0 + bias * there.frames / noise);
                 let w = fits * fits * there.frames;
-                let light = mean_rgb(self.state[self.scratch(at)].truncate()).min(BRIGHTEST);
+                let all = mean_rgb(self.state[self.scratch(at)].truncate())
+                    + gain * (key.light - there.light);
+                let light = all.clamp(-BRIGHTEST, BRIGHTEST);
                 sums += w * Vec2::new(1.0, light);
                 squares += w * w * Vec3::new(1.0, light, light * light);
             }
@@ -369,13 +428,14 @@ impl Memory {
         Vec4::new(mean, spread.max(0.0) / (total * total), total, 0.0)
     }
 
-    fn near_distance(&self, a: Vec4, b: Vec4, noise: f32) -> f32 {
-        let difference = a.x - b.x;
+    fn near_distance(&self, a: Vec4, b: Vec4, explained: f32, noise: f32) -> f32 {
+        let difference = a.x - b.x - explained;
         let mean = 0.5 * (a.x * a.x + b.x * b.x) + self.uniform.tiles[2];
         let seen = NEAR_SEEN * (a.y + b.y);
         let expected = NEAR_EXPECTED * noise * (1.0 / a.z.max(0.1) + 1.0 / b.z.max(0.1));
         let excess = (difference * difference - seen) / mean - expected;
         self.uniform.edges[1] * excess.max(0.0)
+            + self.uniform.edges[3] * explained * explained / mean
     }
 
     pub(super) fn gather(&mut self) {
@@ -411,6 +471,7 @@ impl Memory {
             _ => (pays * pays).clamp(NARROWER[0], NARROWER[1]),
         } / noise;
         let centre = key.frames.max(0.5);
+        let gain = self.light_gain(eye, position);
         let mut light = centre * self.state[self.scratch(pixel)];
         let mut total = centre;
         let middle = position.as_ivec2();
@@ -422,23 +483,25 @@ impl Memory {
                 let at = self.pixel(eye, x as u32, y as u32);
                 let there = self.key(self.both(at));
                 let offset = (IVec2::new(x, y) - middle).as_vec2();
+                let change = gain * (key.light - there.light);
+                let explained = mean_rgb(change);
                 let bias = self.guide_distance(key, there, self.pixel_size(eye))
                     + self.uniform.bias[0] * offset.length_squared()
-                    + self.light_distance(guide, self.counts[self.both(at)], noise)
-                    + self.near_distance(near, self.state[self.near_place(at)], noise);
+                    + self.light_distance(guide, self.counts[self.both(at)], explained, noise)
+                    + self.near_distance(near, self.state[self.near_place(at)], explained, noise);
                 let fits = 1.0 / (1.0 + bias * there.frames * narrower);
                 if (x, y) != (middle.x, middle.y) {
                     let w = fits * fits * there.frames;
                     total += w;
-                    light += w * self.state[self.scratch(at)];
+                    light += w * (self.state[self.scratch(at)] + change.extend(0.0));
                 }
             }
         }
-        light / total
+        not_negative(light / total)
     }
 
-    fn light_distance(&self, a: Vec2, b: Vec2, noise: f32) -> f32 {
-        let difference = a.y - b.y;
+    fn light_distance(&self, a: Vec2, b: Vec2, explained: f32, noise: f32) -> f32 {
+        let difference = a.y - b.y - explained;
         let trust = (0.5 * a.x.min(b.x)).min(1.0);
         let mean = 0.5 * (a.y * a.y + b.y * b.y) + self.uniform.tiles[2];
         let excess = difference * difference / mean - LIGHT_NOISE * noise;

@@ -52,6 +52,7 @@ struct Key {
     depth: f32,
     spread: f32,
     frames: f32,
+    light: f32,
 }
 
 fn half_pair(word: u32) -> [f32; 2] {
@@ -93,7 +94,7 @@ impl Key {
     fn pack(self) -> [u32; 4] {
         let spread = self.spread / self.depth.max(1e-30);
         [
-            self.albedo.to_bits(),
+            half_word(self.albedo, self.light),
             pack_normal(self.normal),
             self.depth.to_bits(),
             half_word(spread, self.frames),
@@ -101,10 +102,12 @@ impl Key {
     }
 
     fn unpack(words: [u32; 4]) -> Self {
+        let [albedo, light] = half_pair(words[0]);
         let [spread, frames] = half_pair(words[3]);
         let depth = f32::from_bits(words[2]);
         Self {
-            albedo: f32::from_bits(words[0]),
+            albedo,
+            light,
             normal: unpack_normal(words[1]),
             depth,
             spread: depth * spread,
@@ -306,6 +309,8 @@ impl Memory {
         uniform.counts = [2, pixels, tiles, 0];
         uniform.halves = [0, u32::from(before != Before::Same), 1, 0];
         settings.fill(&mut uniform, 1.0);
+        // One case without a dominant light.
+        uniform.sun = [0.0, 1.0, 0.0, if light_change > 0.0 { 0.0 } else { 1.0 }];
         let (count, tile_count) = (pixels as usize, tiles as usize);
         let mut four = |low: f32, high: f32| {
             let mut side = || low + (high - low) * number();
@@ -320,6 +325,7 @@ impl Memory {
                 depth: 2.0 + 0.05 * four.y,
                 spread: 0.05 * four.z,
                 frames: if four.w < 0.1 { 0.0 } else { 30.0 * four.w },
+                light: 0.5 + 0.5 * normal.z,
             }
             .pack()
         };
@@ -470,7 +476,7 @@ impl Memory {
     fn words(&self) -> Vec<f32> {
         let of = |words: &[u32; 4]| {
             let key = Key::unpack(*words);
-            [key.albedo, key.depth, key.spread, key.frames]
+            [key.albedo, key.depth, key.spread, key.frames, key.light]
         };
         self.keys.iter().flat_map(of).collect()
     }

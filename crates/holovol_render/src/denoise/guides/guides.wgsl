@@ -6,19 +6,30 @@
 #import holovol_render::field::{field_at, field_gradient}
 #import holovol_render::transfer_function::{transfer_sigma_t, transfer_material}
 #import holovol_render::walk::{walk_start, walk_majorant, load_occupied}
+#import holovol_render::surface::{Surface, scatter_eval}
+#import holovol_render::phase_function::PI
 #import holovol_render::denoise::common::{
-    denoise, lights, keys, Key, pack_key, half_now, albedo_at, mean_rgb,
+    denoise, lights, keys, Key, pack_key, half_now, albedo_at, mean_rgb, ALBEDO_FLOOR, LEAST_ALBEDO,
 }
 
-// Texels of a step, and evaluations of the transfer function in it.
-const STEP: f32 = 2.0;
+// Texels of a step, the second where a dominant light is followed: its shadows are as sharp as the
+// place is known; and evaluations of the transfer function in it.
+const STEP: vec2<f32> = vec2<f32>(2.0, 1.0);
 const PARTS: u32 = 3u;
 // Steps at most: a volume of 4096 texels a side is crossed; longer ones in longer steps.
 const MAX_STEPS: f32 = 4096.0;
 // What is left behind this transmittance is taken to be as what is in front.
 const OPAQUE: f32 = 0.04;
+// Optical depth of a step, times transmittance, that is looked at more closely.
+const CLOSER: f32 = 0.1;
 // The normal is taken where this transmittance is reached.
 const NORMAL_TRANSMITTANCE: f32 = 0.6;
+// Transmittances at whose places light is asked for: the middles of two halves of what is seen.
+const LIT: vec2<f32> = vec2<f32>(0.78, 0.35);
+// Steps of a texel toward a light; those after them are twice as long.
+const FINE_STEPS: f32 = 7.0;
+// Optical depth behind which nothing of a light is left.
+const DARK: f32 = 4.0;
 const CELL_SIZE: f32 = #{CELL_SIZE}.0;
 const NEVER: f32 = 3e38;
 
@@ -50,6 +61,46 @@ fn mesh_ends(slot: u32, position: vec2<f32>) -> vec3<f32> {
 }
 #endif
 
+// Transmittance from a place (texel coordinates) toward a light (texels per metre).
+fn shadow(place: vec3<f32>, toward: vec3<f32>) -> f32 {
+    let walk = walk_start(place, toward, 0.0, 0.0);
+    let range = walk.t_end - walk.t_cell;
+    let fine = max(1.0 / max(length(toward), 1e-30), range / MAX_STEPS);
+    let inverse = 1.0 / select(toward, vec3<f32>(1e-30), abs(toward) < vec3<f32>(1e-30));
+    let ahead = select(vec3<f32>(0.0), vec3<f32>(1.0), toward > vec3<f32>(0.0));
+    let last_cell = vec3<i32>(scene.cells.xyz) - 1;
+    var t = walk.t_cell;
+    var s = 0.0;
+    var known = false;
+    var tau = 0.0;
+    var steps = 0.0;
+    while t < walk.t_end && tau < DARK && steps < 2.0 * MAX_STEPS && range > 0.0 {
+        steps += 1.0;
+        let dt = fine * select(1.0, 2.0, t - walk.t_cell > FINE_STEPS * fine);
+        let metres = dt / f32(PARTS);
+        let at = place + (t + 0.5 * dt) * toward;
+        let cell = clamp(vec3<i32>(floor(at / CELL_SIZE)), vec3<i32>(0), last_cell);
+        if walk_majorant(cell) <= 0.0 {
+            let exits = (CELL_SIZE * (vec3<f32>(cell) + ahead) - place) * inverse;
+            let t_exit = min(exits.x, min(exits.y, exits.z));
+            t += dt * max(1.0, floor((t_exit - t) / dt));
+            known = false;
+            continue;
+        }
+        if !known {
+            s = field_at(place + t * toward);
+        }
+        let next = field_at(place + (t + dt) * toward);
+        for (var k = 0u; k < PARTS; k += 1u) {
+            tau += metres * transfer_sigma_t(mix(s, next, (f32(k) + 0.5) / f32(PARTS)));
+        }
+        s = next;
+        known = true;
+        t += dt;
+    }
+    return exp(-tau);
+}
+
 @compute @workgroup_size(64)
 fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) local: u32) {
     let position = 8u * group.xy
@@ -75,7 +126,8 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
 #endif
     let texels_per_depth = max(length(texel), 1e-30);
     let range = walk.t_end - walk.t_cell;
-    let dt = max(STEP / texels_per_depth, range / MAX_STEPS);
+    let has_sun = denoise.sun.w > 0.0;
+    let dt = max(select(STEP.x, STEP.y, has_sun) / texels_per_depth, range / MAX_STEPS);
     let metres = dt * length_world / f32(PARTS);
     let inverse = 1.0 / select(texel, vec3<f32>(1e-30), abs(texel) < vec3<f32>(1e-30));
     let ahead = select(vec3<f32>(0.0), vec3<f32>(1.0), texel > vec3<f32>(0.0));
@@ -90,6 +142,9 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     var sum = 0.0;
     var sum2 = 0.0;
     var normal_depth = -1.0;
+    // Where light is asked for, and the field there.
+    var lit = vec2<f32>(-1.0);
+    var lit_value = 0.0;
     var t = walk.t_cell;
     var s = 0.0;
     var known = false;
@@ -109,10 +164,28 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
             s = field_at(origin + t * texel);
         }
         let next = field_at(origin + (t + dt) * texel);
-        for (var k = 0u; k < PARTS; k += 1u) {
+        // As if the field were linear; for shadows looked up where much of what is seen lies.
+        var values = vec3<f32>(mix(s, next, 1.0 / 6.0), mix(s, next, 0.5), mix(s, next, 5.0 / 6.0));
+        var sigma = vec3<f32>(
+            transfer_sigma_t(values.x), transfer_sigma_t(values.y), transfer_sigma_t(values.z),
+        );
+        let seen_here = transmittance * metres * (sigma.x + sigma.y + sigma.z);
+        for (var once = has_sun && seen_here > CLOSER; once; once = false) {
+            values = vec3<f32>(
+                field_at(origin + (t + dt / 6.0) * texel),
+                field_at(origin + (t + 0.5 * dt) * texel),
+                field_at(origin + (t + dt * (5.0 / 6.0)) * texel),
+            );
+            sigma = vec3<f32>(
+                transfer_sigma_t(values.x), transfer_sigma_t(values.y), transfer_sigma_t(values.z),
+            );
+        }
+        // Where there is nothing, nothing is added up.
+        let parts = select(0u, PARTS, sigma.x + sigma.y + sigma.z > 0.0);
+        for (var k = 0u; k < parts; k += 1u) {
             let part = (f32(k) + 0.5) / f32(PARTS);
-            let value = mix(s, next, part);
-            let sigma_t = transfer_sigma_t(value);
+            let value = select(select(values.z, values.y, k == 1u), values.x, k == 0u);
+            let sigma_t = select(select(sigma.z, sigma.y, k == 1u), sigma.x, k == 0u);
             let taken = transmittance * (1.0 - exp(-sigma_t * metres));
             let depth = t - walk.t_cell + part * dt;
 #if MESH_DEPTH == 1
@@ -128,7 +201,13 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
             albedo += weight * transfer_material(value).albedo;
             sum += weight * depth;
             sum2 += weight * depth * depth;
+            let enters = transmittance;
             transmittance -= taken;
+            let crosses = vec2<f32>(enters) >= LIT & vec2<f32>(transmittance) < LIT;
+            let share = log(enters / LIT) / max(sigma_t * metres, 1e-20);
+            let place = t + dt * (f32(k) + clamp(share, vec2<f32>(0.0), vec2<f32>(1.0))) / f32(PARTS);
+            lit = select(lit, place, crosses);
+            lit_value = select(lit_value, value, crosses.x);
             if normal_depth < 0.0 && transmittance < NORMAL_TRANSMITTANCE {
                 normal_depth = depth;
             }
@@ -138,7 +217,7 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         t += dt;
     }
     let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
-    var key = Key(0.0, vec3<f32>(0.0, 0.0, 1.0), 0.0, 0.0, 0.0);
+    var key = Key(0.0, vec3<f32>(0.0, 0.0, 1.0), 0.0, 0.0, 0.0, 0.0);
     if opacity > 1e-4 {
         let mean = sum / opacity;
         let variance = max(sum2 / opacity - mean * mean, 0.0);
@@ -154,9 +233,33 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
             key.normal = gradient / magnitude;
         }
         // Black media have an opacity all the same.
-        key.albedo = max(mean_rgb(albedo), 1e-4 * opacity);
+        key.albedo = max(mean_rgb(albedo), LEAST_ALBEDO);
         key.depth = near + walk.t_cell + mean;
         key.spread = sqrt(variance);
+        for (var once = has_sun; once; once = false) {
+            let wi = denoise.sun.xyz;
+            let toward = vec3<f32>(
+                dot(scene.texel_from_world_x.xyz, wi),
+                dot(scene.texel_from_world_y.xyz, wi),
+                dot(scene.texel_from_world_z.xyz, wi),
+            );
+            lit.x = select(walk.t_cell + mean, lit.x, lit.x >= 0.0);
+            var reached = shadow(origin + lit.x * texel, toward);
+            for (var second = lit.y >= 0.0; second; second = false) {
+                reached = 0.5 * (reached + shadow(origin + lit.y * texel, toward));
+            }
+            let wo = -world / length_world;
+            var surface = Surface(vec3<f32>(0.0, 0.0, 1.0), 0.0, 0.0, 1.0);
+#if SURFACE == 1
+            let material = transfer_material(lit_value);
+            surface.normal = select(-key.normal, key.normal, dot(key.normal, wo) >= 0.0);
+            surface.probability = 1.0 - exp(-scene.field.w * min(magnitude, 1e30));
+            surface.specular = material.specular;
+            surface.alpha = max(material.roughness * material.roughness, 1e-3);
+#endif
+            let scattered = 4.0 * PI * scatter_eval(scene.field.z, surface, wo, wi);
+            key.light = min(scattered, 1e4) * reached * key.albedo / (key.albedo + ALBEDO_FLOOR);
+        }
     } else {
         opacity = 0.0;
         albedo = vec3<f32>(0.0);

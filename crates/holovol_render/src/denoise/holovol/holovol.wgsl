@@ -1,7 +1,7 @@
 // The denoiser's own mode, pass by pass; docs/denoising.md explains it.
 
 #import holovol_render::denoise::common::{
-    denoise, state, lights, keys, counts, tiles, noisy, output, Key, unpack_key, with_frames,
+    denoise, state, lights, keys, counts, tiles, noisy, output, Key, unpack_key, with_frames, is_met,
     guide_distance, half_now, half_before, albedo_at, scratch_at, near_at, both_at, tile_at, tile_sums,
     tile_memory, tile_result, tile_rows, mean_rgb, all_finite, HISTORY_MOVED, HISTORY_SAME,
     HISTORY_NONE, ALBEDO_FLOOR, LARGEST, TILE, SAMPLES_PER_FRAME,
@@ -25,6 +25,10 @@ const NARROWER: vec2<f32> = vec2<f32>(0.5, 16.0);
 const MOST_STRICT: f32 = 8.0;
 // T from which, and from where fully, history counts by how well it fits.
 const EDIT: vec2<f32> = vec2<f32>(0.05, 0.5);
+// Pixels between two whose differences tell how bright the dominant source is, and what sums of
+// squared expectations a tile needs to be believed by half.
+const PAIR: u32 = 2u;
+const SLOPE_PRIOR: f32 = 0.1;
 // Pixels to each side that the last pass filters over.
 const RADIUS: i32 = #{RADIUS};
 // In place of an opacity: a sample was not finite.
@@ -45,8 +49,10 @@ fn pixel_of(group: vec3<u32>, local: u32) -> vec2<u32> {
 }
 
 // Bilinear over four pixels whose guides fit; their weight is that of the history. image: pixels
-// across and down, and where the first one is in keys, state and counts.
-fn fetch(key: Key, position: vec3<f32>, image: vec3<u32>, pixel_size: f32, strictness: f32) -> Fetched {
+// across and down, and where the first one is in keys, state and counts. gain: see light_gain.
+fn fetch(
+    key: Key, position: vec3<f32>, image: vec3<u32>, pixel_size: f32, strictness: f32, gain: vec3<f32>,
+) -> Fetched {
     var found = Fetched(vec4<f32>(0.0), 0.0, 0.0, 0.0);
     let size = vec2<i32>(image.xy);
     var here = key;
@@ -73,17 +79,27 @@ fn fetch(key: Key, position: vec3<f32>, image: vec3<u32>, pixel_size: f32, stric
         let w = side.x * side.y / (1.0 + strictness * guide_distance(here, there, pixel_size));
         let count = counts[pixel];
         total += w;
-        found.light += w * state[pixel];
+        let change = gain * (key.light - there.light);
+        found.light += w * (state[pixel] + vec4<f32>(change, 0.0));
         found.frames += w * count.x;
-        found.filtered += w * count.y;
+        found.filtered += w * (count.y + mean_rgb(change));
     }
     if total < NO_WEIGHT {
         return Fetched(vec4<f32>(0.0), 0.0, 0.0, 0.0);
     }
-    found.light /= total;
-    found.filtered /= total;
+    found.light = vec4<f32>(max(found.light.rgb / total, vec3<f32>(0.0)), found.light.a / total);
+    found.filtered = max(found.filtered / total, 0.0);
     found.fit = total;
     return found;
+}
+
+// Light per unit of what guides expect of the dominant source, as samples around have shown.
+fn light_gain(eye: u32, position: vec2<u32>) -> vec3<f32> {
+    var gain = vec3<f32>(0.0);
+    for (var once = denoise.sun.w > 0.0; once; once = false) {
+        gain = tile_at(eye, position, 2u).rgb;
+    }
+    return gain;
 }
 
 fn position_of(eye: u32, pixel: vec2<u32>, depth: f32) -> vec4<f32> {
@@ -126,7 +142,7 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     if row.x >= across || group.y * TILE >= size.y {
         return;
     }
-    var sums = array<vec4<f32>, 3>(vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0));
+    var sums = array<vec4<f32>, 4>(vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0));
     let end = select(min(TILE * (row.x + 1u), size.x), 0u, row.y >= size.y);
     for (var x = TILE * row.x; x < end; x += 1u) {
         let position = vec2<u32>(x, row.y);
@@ -134,8 +150,8 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
         let before = history_of(eye, position, pixel);
         lights[scratch_at(pixel)] = before.light;
         counts[both_at(pixel)] = vec2<f32>(before.frames, before.filtered);
-        let is_met = bitcast<f32>(keys[half_now() + pixel].x) > 0.0;
-        for (var once = is_met && before.frames > 0.0; once; once = false) {
+        let words = keys[half_now() + pixel];
+        for (var once = is_met(words) && before.frames > 0.0; once; once = false) {
             let guide = lights[albedo_at(pixel)];
             let scale = guide.rgb + ALBEDO_FLOOR;
             let light = new_light(eye, pixel, guide);
@@ -153,10 +169,39 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
             }
         }
     }
+    for (var once = denoise.sun.w > 0.0; once; once = false) {
+        for (var x = TILE * row.x; x < end; x += 1u) {
+            sums[3] += light_slope(eye, vec2<u32>(x, row.y));
+        }
+    }
     let tile = denoise.eyes[eye].frame.z + row.x + across * group.y;
-    for (var k = 0u; k < 3u; k += 1u) {
+    for (var k = 0u; k < 4u; k += 1u) {
         tiles[tile_rows(k) + TILE * tile + local % TILE] = sums[k];
     }
+}
+
+// Sums of least squares: what two pixels' samples differ (rgb) on what their guides expect of the
+// dominant source; every second pixel looks across, the others down.
+fn light_slope(eye: u32, position: vec2<u32>) -> vec4<f32> {
+    let size = denoise.eyes[eye].image.xy;
+    let is_across = ((position.x ^ position.y) & 1u) == 0u;
+    let there = position + select(vec2<u32>(0u, PAIR), vec2<u32>(PAIR, 0u), is_across);
+    var slope = vec4<f32>(0.0);
+    for (var once = all(there < size); once; once = false) {
+        let a = denoise.eyes[eye].image.w + position.x + size.x * position.y;
+        let b = denoise.eyes[eye].image.w + there.x + size.x * there.y;
+        let words_a = keys[half_now() + a];
+        let words_b = keys[half_now() + b];
+        let expected = unpack2x16float(words_a.x).y - unpack2x16float(words_b.x).y;
+        for (var both = is_met(words_a) && is_met(words_b) && expected != 0.0; both; both = false) {
+            let light_a = new_light(eye, a, lights[albedo_at(a)]);
+            let light_b = new_light(eye, b, lights[albedo_at(b)]);
+            if light_a.a > NOT_FINITE && light_b.a > NOT_FINITE {
+                slope = expected * vec4<f32>(light_a.rgb - light_b.rgb, expected);
+            }
+        }
+    }
+    return slope;
 }
 
 fn history_of(eye: u32, position: vec2<u32>, pixel: u32) -> Fetched {
@@ -167,7 +212,7 @@ fn history_of(eye: u32, position: vec2<u32>, pixel: u32) -> Fetched {
         before = Fetched(state[half_before() + pixel], count.x, count.y, 1.0);
     } else if history == HISTORY_MOVED {
         let words = keys[half_now() + pixel];
-        for (var once = bitcast<f32>(words.x) > 0.0; once; once = false) {
+        for (var once = is_met(words); once; once = false) {
             let key = unpack_key(words);
             let here = position_of(eye, position, key.depth);
             let there = vec3<f32>(
@@ -186,7 +231,9 @@ fn history_of(eye: u32, position: vec2<u32>, pixel: u32) -> Fetched {
             let was = here.xyz - denoise.eyes[eye].before.xyz;
             let turn = length(cross(direction_of(here.xyz), direction_of(was)));
             let strictness = denoise.across.x * clamp(denoise.edges.z * turn, 1.0, MOST_STRICT);
-            before = fetch(turned, there, last, denoise.eyes[eye].turn_x.w, strictness);
+            // The tiles' last word on it; new ones come after this.
+            let gain = denoise.eyes[eye].history.w * light_gain(eye, position);
+            before = fetch(turned, there, last, denoise.eyes[eye].turn_x.w, strictness, gain);
         }
     }
     before.frames = min(before.frames * denoise.eyes[eye].history.y, denoise.eyes[eye].history.x);
@@ -202,7 +249,7 @@ fn add_rows(@builtin(global_invocation_id) invocation: vec3<u32>) {
     if invocation.x >= denoise.counts.z {
         return;
     }
-    for (var k = 0u; k < 3u; k += 1u) {
+    for (var k = 0u; k < 4u; k += 1u) {
         var sum = vec4<f32>(0.0);
         for (var row = 0u; row < TILE; row += 1u) {
             sum += tiles[tile_rows(k) + TILE * invocation.x + row];
@@ -229,6 +276,10 @@ fn judge(@builtin(global_invocation_id) invocation: vec3<u32>) {
     var variance = 0.0;
     var memory = vec4<f32>(0.0);
     var own = vec4<f32>(0.0);
+    var slope = vec4<f32>(0.0);
+    var own_slope = vec4<f32>(0.0);
+    // Under another light what was is no measure.
+    let slope_factor = memory_factor * (1.0 - denoise.eyes[eye].history.z);
     for (var k = 0; k < 9; k += 1) {
         let offset = vec2<i32>(k % 3, k / 3) - 1;
         let at = clamp(place + offset, vec2<i32>(0), last);
@@ -241,14 +292,21 @@ fn judge(@builtin(global_invocation_id) invocation: vec3<u32>) {
         old += w * tiles[tile_sums(1u) + tile];
         var remembered = tiles[tile_sums(2u) + tile];
         if denoise.eyes[eye].frame.y != HISTORY_NONE {
-            remembered += memory_factor * tiles[tile_memory(false) + tile];
+            remembered += memory_factor * tiles[tile_memory(false, 0u) + tile];
         }
         memory += w * remembered;
+        var expected = tiles[tile_sums(3u) + tile];
+        if denoise.eyes[eye].frame.y != HISTORY_NONE {
+            expected += slope_factor * tiles[tile_memory(false, 1u) + tile];
+        }
+        slope += w * expected;
         if k == 4 {
             own = remembered;
+            own_slope = expected;
         }
     }
-    tiles[tile_memory(true) + first + invocation.x] = own;
+    tiles[tile_memory(true, 0u) + first + invocation.x] = own;
+    tiles[tile_memory(true, 1u) + first + invocation.x] = own_slope;
 
     // A lag that noise explains is none.
     let lag = mean_rgb(difference.rgb);
@@ -270,6 +328,9 @@ fn judge(@builtin(global_invocation_id) invocation: vec3<u32>) {
     tiles[tile_result(0u) + first + invocation.x] = vec4<f32>(correction, shortening);
     tiles[tile_result(1u) + first + invocation.x] =
         vec4<f32>(weight, clamp(noise, 0.003, 1.0), 0.0, 0.0);
+    let light_gain = max(slope.rgb, vec3<f32>(0.0)) / (slope.w + SLOPE_PRIOR);
+    tiles[tile_result(2u) + first + invocation.x] =
+        vec4<f32>(select(vec3<f32>(0.0), light_gain, denoise.sun.w > 0.0), 0.0);
 }
 
 // 3. The new samples join the corrected history.
@@ -325,7 +386,8 @@ fn stereo(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
             dot(denoise.eyes[eye].other_depth, here),
         );
         let image = denoise.eyes[1u - eye].image.xyw + vec3<u32>(0u, 0u, half_now());
-        let other = fetch(key, there, image, denoise.eyes[1u - eye].turn_x.w, denoise.across.y);
+        let gain = light_gain(eye, position);
+        let other = fetch(key, there, image, denoise.eyes[1u - eye].turn_x.w, denoise.across.y, gain);
         if other.frames > 0.0 {
             // However many frames it has, it may be off by its bias.
             let noise = tile_at(eye, position, 1u).y;
@@ -340,8 +402,9 @@ fn stereo(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
 
 // What the last frame's filter found says where light changes though guides don't: shadows.
 // Guides are (frames, filtered light) of the history.
-fn light_distance(a: vec2<f32>, b: vec2<f32>, noise: f32) -> f32 {
-    let difference = a.y - b.y;
+// expected: what the dominant source explains of it.
+fn light_distance(a: vec2<f32>, b: vec2<f32>, expected: f32, noise: f32) -> f32 {
+    let difference = a.y - b.y - expected;
     let trust = min(0.5 * min(a.x, b.x), 1.0);
     let mean = 0.5 * (a.y * a.y + b.y * b.y) + denoise.tiles.z;
     return denoise.edges.x * trust * max(difference * difference / mean - LIGHT_NOISE * noise, 0.0);
@@ -361,10 +424,11 @@ fn prefilter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     let pixel = first + position.x + size.x * position.y;
     let words = keys[both_at(pixel)];
     var near = vec4<f32>(0.0);
-    for (var once = bitcast<f32>(words.x) > 0.0; once; once = false) {
+    for (var once = is_met(words); once; once = false) {
         let pixel_size = denoise.eyes[eye].turn_x.w;
         let key = unpack_key(words);
         let inverse_noise = 1.0 / tile_at(eye, position, 1u).y;
+        let gain = mean_rgb(light_gain(eye, position));
         let low = max(vec2<i32>(position) - 1, vec2<i32>(0));
         let high = min(vec2<i32>(position) + 1, vec2<i32>(size) - 1);
         // Weights with light to the power of 0 and 1, squared weights with 0, 1 and 2.
@@ -377,7 +441,8 @@ fn prefilter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
                 let bias = guide_distance(key, there, pixel_size);
                 let fits = 1.0 / (1.0 + bias * there.frames * inverse_noise);
                 let w = fits * fits * there.frames;
-                let light = min(mean_rgb(lights[scratch_at(at)].rgb), BRIGHTEST);
+                let all = mean_rgb(lights[scratch_at(at)].rgb) + gain * (key.light - there.light);
+                let light = clamp(all, -BRIGHTEST, BRIGHTEST);
                 sums += w * vec2<f32>(1.0, light);
                 squares += w * w * vec3<f32>(1.0, light, light * light);
             }
@@ -391,12 +456,13 @@ fn prefilter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
 }
 
 // Of two such means (mean, variance, frames).
-fn near_distance(a: vec4<f32>, b: vec4<f32>, noise: f32) -> f32 {
-    let difference = a.x - b.x;
+fn near_distance(a: vec4<f32>, b: vec4<f32>, explained: f32, noise: f32) -> f32 {
+    let difference = a.x - b.x - explained;
     let mean = 0.5 * (a.x * a.x + b.x * b.x) + denoise.tiles.z;
     let seen = NEAR_SEEN * (a.y + b.y);
     let expected = NEAR_EXPECTED * noise * (1.0 / max(a.z, 0.1) + 1.0 / max(b.z, 0.1));
-    return denoise.edges.y * max((difference * difference - seen) / mean - expected, 0.0);
+    return denoise.edges.y * max((difference * difference - seen) / mean - expected, 0.0)
+        + denoise.edges.w * explained * explained / mean;
 }
 
 // 6. A filter over neighbours, each weighed by its noise and by what its guides differ.
@@ -416,12 +482,14 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
     let words = keys[both_at(pixel)];
     var result = own;
     var filtered = own;
-    for (var once = bitcast<f32>(words.x) > 0.0; once; once = false) {
+    for (var once = is_met(words); once; once = false) {
         let pixel_size = denoise.eyes[eye].turn_x.w;
         let key = unpack_key(words);
         let tile = tile_at(eye, position, 1u);
         let own_frames = counts[half_now() + pixel].x;
         let centre = max(key.frames, 0.5);
+        let gain = light_gain(eye, position);
+        let mean_gain = mean_rgb(gain);
         var light = centre * lights[scratch_at(pixel)];
         var total = centre;
         let low = max(vec2<i32>(position) - RADIUS, vec2<i32>(0));
@@ -441,16 +509,18 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
                 let there = unpack_key(keys[both_at(at)]);
                 let offset = vec2<f32>(vec2<i32>(x, y) - vec2<i32>(position));
                 let r2 = dot(offset, offset);
+                // What the dominant source explains of the difference.
+                let explained = key.light - there.light;
                 let bias = guide_distance(key, there, pixel_size) + denoise.bias.x * r2
-                    + light_distance(guide, counts[both_at(at)], tile.y)
-                    + near_distance(near, lights[near_at(at)], tile.y);
+                    + light_distance(guide, counts[both_at(at)], mean_gain * explained, tile.y)
+                    + near_distance(near, lights[near_at(at)], mean_gain * explained, tile.y);
                 let fits = 1.0 / (1.0 + bias * there.frames * narrower);
                 let w = select(0.0, fits * fits * there.frames, r2 > 0.0);
                 total += w;
-                light += w * lights[scratch_at(at)];
+                light += w * (lights[scratch_at(at)] + vec4<f32>(gain * explained, 0.0));
             }
         }
-        filtered = light / total;
+        filtered = vec4<f32>(max(light.rgb / total, vec3<f32>(0.0)), light.a / total);
         // However sure the tile is, its error must fall with the noise of the samples.
         let weight = min(tile.x, #{FADE_FRAMES}.0 / (#{FADE_FRAMES}.0 + own_frames));
         result = mix(own, filtered, weight);
