@@ -43,6 +43,8 @@ const FRAMES_TO_FREE: u32 = 4;
 struct Target {
     volume: Arc<Volume>,
     medium: Medium,
+    /// What was asked for in the last frame.
+    asked: Arc<Volume>,
 }
 
 /// Everything of ours on the device; made anew when that is.
@@ -175,19 +177,24 @@ impl Inner {
             })
         };
         for extracted in &scene.volumes {
+            let mut is_asked_again = false;
+            if let Some(target) = self.targets.get_mut(&extracted.entity) {
+                is_asked_again = Arc::ptr_eq(&target.asked, &extracted.volume);
+                target.asked = Arc::clone(&extracted.volume);
+            }
             let target = self.targets.get(&extracted.entity);
             let is_other = |target: &&Target| !Arc::ptr_eq(&target.volume, &extracted.volume);
             if let Some(target) = target.filter(is_other) {
                 let uploads =
                     |made: &Made<Volume, _>| made.is_of(&target.volume) && made.is_pending();
-                let mut tracings = self.tracings.iter();
-                let is_busy = tracings
-                    .any(|(key, t)| key.0 == extracted.entity && is_seen(key) && t.is_busy());
-                // Going back to what is shown waits for nothing.
-                let of_volume = |(key, _): &(&TracerKey, _)| key.0 == extracted.entity;
-                let mut own = self.tracings.iter().filter(of_volume).peekable();
-                let goes_back =
-                    own.peek().is_some() && own.all(|(_, t)| t.shows(&extracted.volume));
+                let of_volume = |(key, _): &(&TracerKey, &Tracing)| key.0 == extracted.entity;
+                let own = || self.tracings.iter().filter(of_volume);
+                let is_busy = own().any(|(key, t)| is_seen(key) && t.is_busy());
+                // Going back to what is shown waits for nothing; but where every frame has other
+                // voxels, what is coming is not given up for what comes around again.
+                let goes_back = is_asked_again
+                    && own().next().is_some()
+                    && own().all(|(_, t)| t.shows(&extracted.volume));
                 if !goes_back && (is_busy || self.volumes.iter().any(uploads)) {
                     continue;
                 }
@@ -195,6 +202,7 @@ impl Inner {
             let target = Target {
                 volume: Arc::clone(&extracted.volume),
                 medium: extracted.medium.clone(),
+                asked: Arc::clone(&extracted.volume),
             };
             self.targets.insert(extracted.entity, target);
         }
@@ -388,7 +396,10 @@ fn prepare(
         }
     }
     for extracted in &scene.volumes {
-        let Some(Target { volume: of, medium }) = inner.targets.get(&extracted.entity) else {
+        let Some(Target {
+            volume: of, medium, ..
+        }) = inner.targets.get(&extracted.entity)
+        else {
             continue;
         };
         let (of, medium) = (Arc::clone(of), medium.clone());

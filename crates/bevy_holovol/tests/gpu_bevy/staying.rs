@@ -120,6 +120,10 @@ fn going_back() {
         let uploads = statistics(&app).uploads;
         app.world_mut().entity_mut(volume).insert(former.clone());
         app.update();
+        if statistics(&app).samples > before {
+            // It was there before the way back was certain.
+            break;
+        }
         finish(&mut app);
         let after = statistics(&app);
         assert_eq!(after.uploads, uploads, "{times}: it is still there");
