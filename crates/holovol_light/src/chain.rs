@@ -11,7 +11,7 @@ use crate::{EnvironmentMap, EnvironmentSampler, Grid};
 /// Exposures of alternating frames are merged up to this age, in frames.
 const OLDEST: usize = 2;
 /// T since the last published light from which on it is published again: noise stays below.
-const PUBLISH: f64 = 0.06;
+const PUBLISH: f64 = 0.07;
 /// A disc light that changed by this share, or moved by this angle (radians), is published again:
 /// highlights show that before T does. Guesses flicker by less.
 const DISC_CHANGE: f64 = 0.1;
@@ -236,8 +236,8 @@ impl LightChain {
         // Whether a light that counts is none of the others, however little these give.
         let is_new = |light: &Light, others: &[Light]| {
             let is_same = |other: &Light| {
-                let ratio = light.irradiance[1] / other.irradiance[1].max(1e-12);
-                (ratio - 1.0).abs() < DISC_CHANGE
+                let change = (light.irradiance[1] - other.irradiance[1]).abs();
+                change < least.max(DISC_CHANGE * other.irradiance[1])
                     && light.direction.angle_between(other.direction) < DISC_MOVE
             };
             light.irradiance[1] > least && !others.iter().any(is_same)

@@ -9,7 +9,7 @@ use crate::{Grid, luminance};
 /// Time constant of the map, s.
 const MAP_SECONDS: f64 = 0.15;
 /// Spread by which a light's strength may drift, EV per √s.
-const DRIFT: f64 = 0.27;
+const DRIFT: f64 = 0.1;
 /// An innovation beyond this is a switch, EV.
 const SWITCH: f64 = 1.0;
 /// Frame-to-frame spread of a light's measured strength, EV: much less than its bias, which
