@@ -260,7 +260,10 @@ fn take_over(
         return;
     };
     camera.map = live.map().clone();
-    camera.choose(&mut studio.look, asset.map());
+    let Studio { look, history, .. } = &mut *studio;
+    camera.choose(look, asset.map());
+    // Nobody edited anything.
+    history.begin(look);
 }
 
 impl RoomCamera {

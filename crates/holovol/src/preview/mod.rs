@@ -98,6 +98,9 @@ pub(crate) fn run(args: &PreviewArgs) -> Result<(), Failure> {
     }
     match app.run() {
         AppExit::Success => Ok(()),
+        AppExit::Error(code) if i32::from(code.get()) == Exit::Interrupted as i32 => {
+            Err(Failure::new(Exit::Interrupted, "stopped"))
+        }
         AppExit::Error(_) => Err(Failure::new(
             Exit::Device,
             "the window closed after an error of the graphics device; what it said is above",

@@ -32,7 +32,16 @@ impl Plugin for OpenPlugin {
     fn build(&self, app: &mut App) {
         app.init_resource::<Opening>()
             .add_systems(PostStartup, open_first)
-            .add_systems(Update, (dropped, finish).chain());
+            .add_systems(Update, (dropped, finish, begin_history).chain());
+    }
+}
+
+/// What the window begins with is nothing to undo.
+fn begin_history(mut studio: ResMut<Studio>, opening: Res<Opening>, mut has_begun: Local<bool>) {
+    if !*has_begun && studio.scan.is_some() && !opening.is_busy() {
+        *has_begun = true;
+        let Studio { look, history, .. } = &mut *studio;
+        history.begin(look);
     }
 }
 

@@ -288,14 +288,11 @@ fn ruler(
         project.line(painter, [a, b], Stroke::new(2.0, ACCENT));
         if let Some(at) = project.at(0.5 * (a + b)) {
             let label = length_text(length);
-            text(
-                painter,
-                at - vec2(0.0, 12.0),
-                Align2::CENTER_BOTTOM,
-                &label,
-                16.0,
-                ACCENT,
-            );
+            // On a plate, clear of handles that may lie on the line.
+            let galley = painter.layout_no_wrap(label, FontId::proportional(16.0), ACCENT);
+            let place = Align2::CENTER_BOTTOM.anchor_size(at - vec2(0.0, 16.0), galley.size());
+            painter.rect_filled(place.expand(4.0), 4.0, Color32::from_black_alpha(190));
+            painter.galley(place.min, galley, ACCENT);
         }
         return;
     }

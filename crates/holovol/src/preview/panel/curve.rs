@@ -195,7 +195,10 @@ fn selected(ui: &mut egui::Ui, curve: &mut Curve, look: &mut Look) {
         if ui.add(drag).changed() {
             point.s = (value - low) / (high - low);
         }
-        ui.label("extinction");
+        ui.label("extinction").on_hover_text(
+            "How much is scattered and absorbed, against the other points; scenes and pictures have \
+             it times density, for the scan's size",
+        );
         let speed = 0.02 * point.sigma_t.max(0.01);
         let drag = egui::DragValue::new(&mut point.sigma_t).speed(speed);
         ui.add(drag.range(0.0..=1e7).max_decimals(4));

@@ -77,7 +77,7 @@ fn others(ui: &mut egui::Ui, shown: &mut Shown) {
         return;
     };
     ui.horizontal(|ui| {
-        let others = egui::Button::new("Others in it");
+        let others = egui::Button::new("Other volumes …");
         let is_free = !shown.opening.is_busy() && shown.opening.choosing.is_none();
         let others = ui.add_enabled(is_free, others);
         let name = path

@@ -5,18 +5,35 @@ use bevy_egui::egui;
 use super::{Panel, Shown};
 
 pub(super) fn keys(ui: &mut egui::Ui) {
-    egui::Grid::new("keys").num_columns(2).show(ui, |ui| {
-        for (key, what) in super::keys::LIST {
-            ui.strong(key);
-            ui.label(what);
-            ui.end_row();
-        }
-    });
+    pairs(ui, "keys", super::keys::LIST, |ui, what| ui.label(what));
+}
+
+/// Two columns that together are no wider than the panel.
+fn pairs<N: Into<egui::WidgetText>, V>(
+    ui: &mut egui::Ui,
+    id: &str,
+    rows: impl IntoIterator<Item = (N, V)>,
+    value: impl Fn(&mut egui::Ui, V) -> egui::Response,
+) {
+    let gap = ui.spacing().item_spacing.x;
+    let half = 0.5 * (ui.available_width() - gap) - 1.0;
+    egui::Grid::new(id)
+        .num_columns(2)
+        .max_col_width(half)
+        .show(ui, |ui| {
+            ui.style_mut().wrap_mode = Some(egui::TextWrapMode::Wrap);
+            for (name, of) in rows {
+                ui.label(name);
+                value(ui, of);
+                ui.end_row();
+            }
+        });
 }
 
 pub(super) fn numbers(ui: &mut egui::Ui, shown: &Shown) {
     let numbers = shown.statistics.get();
     let seconds = shown.quality.frame_seconds;
+    const GENERAL: usize = 3;
     let mut rows = vec![
         ("adapter".to_owned(), shown.adapter.name.clone()),
         ("driver".to_owned(), shown.adapter.driver_info.clone()),
@@ -32,6 +49,9 @@ pub(super) fn numbers(ui: &mut egui::Ui, shown: &Shown) {
             let stage = stage.trim_start_matches("holovol_").replace('_', " ");
             rows.push((format!("{stage}, {clock}"), format!("{value:.2} ms")));
         }
+    }
+    if rows.len() == GENERAL {
+        rows.push(("stages".into(), "this device doesn't time them".into()));
     }
     rows.push((
         "samples per pixel".into(),
@@ -52,13 +72,7 @@ pub(super) fn numbers(ui: &mut egui::Ui, shown: &Shown) {
         let megabytes = bytes as f64 / f64::from(1 << 20);
         rows.push(("memory of the device".into(), format!("{megabytes:.0} MiB")));
     }
-    egui::Grid::new("numbers").num_columns(2).show(ui, |ui| {
-        for (name, value) in rows {
-            ui.label(name);
-            ui.monospace(value);
-            ui.end_row();
-        }
-    });
+    pairs(ui, "numbers", rows, |ui, value| ui.monospace(value));
 }
 
 /// Bytes that the program has on the graphics device, where the driver's allocator can tell. To

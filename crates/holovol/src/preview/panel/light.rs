@@ -89,10 +89,9 @@ fn camera(ui: &mut egui::Ui, shown: &mut PanelShown) {
     };
     if camera.is(&shown.studio.look.light.source) {
         let evidence = live.rung.map_or("", evidence);
-        let text = format!(
-            "{} pictures, {evidence}, ±{:.1} EV",
-            live.frames, live.sigma_ev
-        );
+        // Below a tenth of a stop nobody knows a camera.
+        let stops = live.sigma_ev.max(0.1);
+        let text = format!("{} pictures, {evidence}, ±{stops:.1} stops", live.frames);
         ui.weak(text).on_hover_text(
             "What the room's light was estimated from, and one standard deviation of all light",
         );

@@ -22,27 +22,28 @@ pub(super) fn draw(ui: &mut egui::Ui, panel: &mut Panel, shown: &mut Shown) {
     curve::draw(ui, &mut panel.curve, look, scan);
 
     let [low, high] = scan.volume().range();
-    let speed = ((high - low) / 400.0).abs().max(1e-9);
+    let span = (high - low).abs().max(1e-9);
+    let speed = span / 400.0;
+    // Four digits of the range, and the unit that the file names.
+    let decimals = (3.0 - span.log10().floor()).clamp(0.0, 9.0) as usize;
+    let unit = scan.volume().unit().map(|unit| format!(" {unit}"));
+    let unit = unit.as_deref().unwrap_or_default();
+    let drag = |ui: &mut egui::Ui, value: &mut f64| {
+        let drag = egui::DragValue::new(value).speed(speed);
+        ui.add(drag.max_decimals(decimals).suffix(unit))
+    };
     let [mut from, mut to] = look.window;
     let (mut level, mut width) = (0.5 * (from + to), to - from);
     egui::Grid::new("window").num_columns(4).show(ui, |ui| {
         ui.label("from");
-        ui.add(egui::DragValue::new(&mut from).speed(speed).max_decimals(4));
+        drag(ui, &mut from);
         ui.label("to");
-        ui.add(egui::DragValue::new(&mut to).speed(speed).max_decimals(4));
+        drag(ui, &mut to);
         ui.end_row();
         ui.label("level");
-        let moved = ui.add(
-            egui::DragValue::new(&mut level)
-                .speed(speed)
-                .max_decimals(4),
-        );
+        let moved = drag(ui, &mut level);
         ui.label("window");
-        let widened = ui.add(
-            egui::DragValue::new(&mut width)
-                .speed(speed)
-                .max_decimals(4),
-        );
+        let widened = drag(ui, &mut width);
         ui.end_row();
         if moved.changed() || widened.changed() {
             (from, to) = (level - 0.5 * width, level + 0.5 * width);

@@ -263,7 +263,7 @@ fn draw(mut contexts: EguiContexts, mut panel: ResMut<Panel>, mut shown: Shown) 
     paint_beside(&context, free);
     forget_former_scan(panel, &shown);
     overlay::draw(&context, free, panel, &mut shown);
-    status::draw(&context, &mut shown);
+    status::draw(&context, free, &mut shown);
     slice_views::draw(&context, panel, &mut shown);
     info::about(&context, panel);
     choose::draw(&context, &mut shown);

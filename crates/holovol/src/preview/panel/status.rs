@@ -8,12 +8,12 @@ use super::super::quality::RESTING_SAMPLES;
 use super::super::slices::direction_name;
 use super::Shown;
 
-pub(super) fn draw(context: &egui::Context, shown: &mut Shown) {
+pub(super) fn draw(context: &egui::Context, free: egui::Rect, shown: &mut Shown) {
     egui::Area::new("status".into())
-        .anchor(egui::Align2::LEFT_BOTTOM, [8.0, -8.0])
+        .anchor(egui::Align2::LEFT_BOTTOM, [free.left() + 8.0, -8.0])
         .show(context, |ui| {
             egui::Frame::popup(ui.style()).show(ui, |ui| {
-                ui.set_max_width(0.6 * context.viewport_rect().width());
+                ui.set_max_width((free.width() - 36.0).max(80.0));
                 work(ui, shown);
                 message(ui, shown);
                 state(ui, shown);
