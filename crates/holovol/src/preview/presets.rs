@@ -107,6 +107,15 @@ impl Preset {
         }
     }
 
+    /// The one that a scan is shown by, if nothing of it has been changed.
+    pub(crate) fn of(look: &Look, scan: &Scan) -> Option<Self> {
+        Self::ALL.into_iter().find(|preset| {
+            let mut fresh = look.clone();
+            preset.apply(&mut fresh, scan);
+            fresh == *look
+        })
+    }
+
     /// Shows a scan so.
     pub(crate) fn apply(self, look: &mut Look, scan: &Scan) {
         /// Optical depth of a whole scan at 1: a surface within a voxel or two.
@@ -184,6 +193,12 @@ mod tests {
                 ..super::super::tests::blob()
             };
             preset.apply(&mut look, &scan);
+            assert_eq!(Preset::of(&look, &scan), Some(preset));
+            let denser = Look {
+                density: 2.0,
+                ..look.clone()
+            };
+            assert_eq!(Preset::of(&denser, &scan), None);
             let file = look.transfer_function().expect("points in order");
             let at = |value: f64| {
                 let [low, high] = look.window;

@@ -160,20 +160,17 @@ fn one(
     for (letter, (place, align)) in letters.into_iter().zip(places) {
         painter.text(place, align, letter, font.clone(), Color32::WHITE);
     }
-    let name = if scan.is_patient() {
-        cut.name().to_owned()
-    } else {
-        let [left, right, bottom, top] = letters;
-        format!("{left}{right} {bottom}{top}")
-    };
-    let corner = rect.left_top() + vec2(3.0, 2.0);
-    painter.text(
-        corner,
-        Align2::LEFT_TOP,
-        name,
-        FontId::proportional(11.0),
-        Color32::GRAY,
-    );
+    // Elsewhere the axes at its sides are its name.
+    if scan.is_patient() {
+        let corner = rect.left_top() + vec2(3.0, 2.0);
+        painter.text(
+            corner,
+            Align2::LEFT_TOP,
+            cut.name(),
+            FontId::proportional(11.0),
+            Color32::GRAY,
+        );
+    }
     let mut moved = cross;
     if (response.clicked() || response.dragged())
         && let Some(to) = response.interact_pointer_pos()

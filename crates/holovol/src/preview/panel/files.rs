@@ -144,11 +144,14 @@ fn completions(typed: &str) -> Vec<PathBuf> {
 /// A choice of looks.
 pub(super) fn presets(ui: &mut egui::Ui, shown: &mut Shown) {
     let studio = &mut *shown.studio;
+    let scan = studio.scan.as_ref();
+    let chosen = scan.and_then(|scan| Preset::of(&studio.look, scan));
     egui::ComboBox::from_id_salt("presets")
-        .selected_text("preset …")
+        .selected_text(chosen.map_or("preset …", Preset::name))
         .show_ui(ui, |ui| {
             for preset in Preset::ALL {
-                if ui.selectable_label(false, preset.name()).clicked()
+                let is_chosen = chosen == Some(preset);
+                if ui.selectable_label(is_chosen, preset.name()).clicked()
                     && let Some(scan) = &studio.scan
                 {
                     preset.apply(&mut studio.look, scan);
