@@ -25,8 +25,7 @@ const C2: f32 = 2.0 * 0.15 * 0.15;
 /// A patch that gives no surface this share of its irradiance can't change any by more, and is
 /// left out.
 const SMALLEST: f32 = 0.01;
-/// And what is exchanged in a patch counts wholly from this share on: a lamp that gives a thousandth
-/// of the light may flicker.
+/// Share from which on what a patch exchanges counts wholly, since the kept frame.
 const WHOLE: f32 = 0.008;
 /// A surface in the dark counts as if it had this share of the mean irradiance.
 const DARK: f32 = 0.05;
@@ -42,8 +41,8 @@ const BLURS: usize = 2;
 ///
 /// Per patch the similarity τ is an SSIM of log radiance: C1/(Δμ² + C1) in place of SSIM's term of
 /// means, which depends on the unit of radiance, times (2σ₁₂ + C2)/(σ₁² + σ₂² + C2). Patches which
-/// give every surface less than 1 % of its irradiance are left out, and τ counts in full where what
-/// is exchanged gives a surface 0.8 %. Cells are blurred first. That is the picture. What it
+/// give every surface less than 1 % of its irradiance are left out. Cells are blurred first. That is
+/// the picture. What it
 /// does is the largest change ΔE, EV, of the irradiance of 128 surfaces: its similarity is
 /// ε = C1/(ΔE² + C1). T = 1 − ε · (1 − 0.42 · (1 − min τ)): a change of the picture alone gives at
 /// most 0.42, a change of irradiance up to 1.
@@ -125,7 +124,8 @@ impl ChangeDetector {
         self.newest = (0..3).find(free).unwrap_or(0);
         self.previous = started.then_some(before);
         self.gather(grid, texels, discs);
-        self.previous.map_or(1.0, |before| self.compare(before))
+        self.previous
+            .map_or(1.0, |before| self.compare(before, |_| 1.0))
     }
 
     /// Keeps the newest frame as what [`Self::since_kept`] compares with.
@@ -133,12 +133,17 @@ impl ChangeDetector {
         self.kept = Some(self.newest);
     }
 
-    /// T between the kept frame and the newest; 1 if none was kept.
+    /// T between the kept frame and the newest, 1 if none was kept: but a patch counts only by what it
+    /// exchanges, fully from 0.8 % of a surface's irradiance on. A lamp that gives a thousandth of
+    /// the light may flicker.
     pub fn since_kept(&self) -> f64 {
-        self.kept.map_or(1.0, |kept| self.compare(kept))
+        self.kept.map_or(1.0, |kept| {
+            self.compare(kept, |share| (share / WHOLE).min(1.0))
+        })
     }
 
-    fn compare(&self, other: usize) -> f64 {
+    /// T, where a patch counts by the share of a surface's irradiance that it exchanges.
+    fn compare(&self, other: usize, counts: impl Fn(f32) -> f32) -> f64 {
         let (a, b) = (&self.frames[other], &self.frames[self.newest]);
         let all = a.all.max(b.all);
         if other == self.newest || all <= 0.0 {
@@ -160,7 +165,7 @@ impl ChangeDetector {
             let shares = cosines.iter().zip(&brightest);
             let share = shares.fold(0.0_f32, |most, (c, inverse)| most.max(c * inverse));
             if flux * share >= SMALLEST {
-                let counts = (exchanged(a, b, patch) * share / WHOLE).min(1.0);
+                let counts = counts(exchanged(a, b, patch) * share);
                 if counts > changed {
                     changed = changed.max(counts * patch_change(a, b, patch));
                 }
