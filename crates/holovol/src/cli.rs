@@ -1,5 +1,9 @@
 //! What the command line may ask for.
 
+mod bench;
+#[cfg(feature = "preview")]
+mod window;
+
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -7,6 +11,12 @@ use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use holovol_volume::{Endian, NumberType, RawLayout, ReadOptions};
+
+pub use self::bench::{BenchCommand, BenchDenoiseArgs, BenchLightArgs, BenchTraceArgs};
+#[cfg(feature = "preview")]
+pub use self::window::PreviewArgs;
+#[cfg(feature = "xr")]
+pub use self::window::{XrArgs, XrBlend};
 
 const EXIT_CODES: &str = "\
 Exit codes:
@@ -99,118 +109,6 @@ pub enum Interpolation {
     Exact,
     /// By the texture unit, with 8-bit weights on most GPUs: faster, slightly biased
     Hardware,
-}
-
-/// `holovol preview`
-#[cfg(feature = "preview")]
-#[derive(Clone, Debug, Args)]
-#[command(after_long_help = "\
-Without a file it shows a head phantom in a living room, both made by holovol itself. Files and
-folders can also be dropped on the window. The panel (Tab) lists the keys.
-
-Examples:
-  holovol preview
-  holovol preview scan.nii.gz
-  holovol preview scan.nii.gz bone.tf.json room.hdr
-  holovol preview scan.nii.gz --camera virtual:room.hdr
-  holovol preview scene.json")]
-pub struct PreviewArgs {
-    /// Scans, folders of DICOM files, scenes, *.tf.json, panoramas (*.hdr, *.exr, *.png, *.jpg)
-    #[arg(value_name = "FILE")]
-    pub files: Vec<PathBuf>,
-    /// Light by a 360° camera: a panorama or a folder of them, played again and again; `virtual` or
-    /// `virtual:ROOM.hdr` is one that isn't there, in a room that is a map
-    #[arg(long, value_name = "URI")]
-    pub camera: Option<String>,
-    /// Size of the window, logical pixels
-    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x800", value_parser = window_size)]
-    pub size: [u32; 2],
-    /// Close the window after as many frames
-    #[arg(long, value_name = "N", hide = true)]
-    pub frames: Option<u32>,
-    /// Take over from a window whose graphics device was lost
-    #[arg(long, value_name = "FILE", hide = true)]
-    pub restore: Option<PathBuf>,
-}
-
-/// `holovol xr`
-#[cfg(feature = "xr")]
-#[derive(Debug, Args)]
-#[command(after_long_help = "\
-Takes any headset whose runtime speaks OpenXR and Vulkan: SteamVR, WiVRn, Monado, Quest Link. Where
-there is a display, the preview's window stands beside it. See docs/headsets.md.
-
-Examples:
-  holovol xr
-  holovol xr scan.nii.gz room.hdr
-  holovol xr scan.nii.gz --camera virtual:room.hdr
-  holovol xr --simulate --out pictures/xr     # no headset needed: writes what both eyes see")]
-pub struct XrArgs {
-    /// Scans, folders of DICOM files, scenes, *.tf.json, panoramas (*.hdr, *.exr, *.png, *.jpg)
-    #[arg(value_name = "FILE")]
-    pub files: Vec<PathBuf>,
-    /// Light by a 360° camera: a panorama or a folder of them, played again and again; `virtual` or
-    /// `virtual:ROOM.hdr` is one that isn't there, in a room that is a map
-    #[arg(long, value_name = "URI")]
-    pub camera: Option<String>,
-    /// How the camera is turned against the headset's space, degrees about the vertical
-    #[arg(
-        long,
-        value_name = "DEGREES",
-        default_value_t = 0.0,
-        allow_negative_numbers = true
-    )]
-    pub camera_turn: f32,
-    /// Open the panel in the room at once
-    #[arg(long)]
-    pub panel: bool,
-    /// Play recorded hands (lines of JSON) instead of the headset's
-    #[arg(long, value_name = "FILE")]
-    pub hands: Option<PathBuf>,
-    /// Start Monado with a headset that moves by itself; without a display, writes pictures
-    #[arg(long)]
-    pub simulate: bool,
-    /// Write PREFIX.left.png and PREFIX.right.png, then end
-    #[arg(long, value_name = "PREFIX")]
-    pub out: Option<PathBuf>,
-    /// Open the preview's window if there is no headset
-    #[arg(long)]
-    pub window: bool,
-    /// Open no window beside the headset
-    #[arg(long, conflicts_with = "window")]
-    pub no_window: bool,
-    /// Samples per pixel and frame
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=4096))]
-    pub samples: u32,
-    /// Pixels drawn per pixel that the runtime recommends, along each axis, 0.1 to 8
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
-    pub resolution: f32,
-    /// Draw as for a headset that shows the room in this way, whatever it does
-    #[arg(long, value_name = "HOW", hide = true)]
-    pub blend: Option<XrBlend>,
-    /// Frames before the end, or before the pictures
-    #[arg(long, value_name = "N", hide = true)]
-    pub frames: Option<u32>,
-}
-
-/// How a headset shows the room.
-#[cfg(feature = "xr")]
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum XrBlend {
-    /// Behind what is drawn
-    Alpha,
-    /// Added to what is drawn
-    Additive,
-    /// Not at all
-    Opaque,
-}
-
-#[cfg(feature = "preview")]
-fn window_size(text: &str) -> Result<[u32; 2], String> {
-    let parse = |n: &str| n.parse().ok().filter(|n| (64..=16384).contains(n));
-    text.split_once('x')
-        .and_then(|(width, height)| Some([parse(width)?, parse(height)?]))
-        .ok_or_else(|| "expected two numbers from 64 to 16384, such as 1280x800".to_owned())
 }
 
 /// `holovol render`
@@ -574,116 +472,6 @@ pub struct CalibrateArgs {
     /// The calibration file to write
     #[arg(long, value_name = "OUT.json")]
     pub out: PathBuf,
-}
-
-/// `holovol bench`
-#[derive(Debug, Subcommand)]
-pub enum BenchCommand {
-    /// The tracer against variants of itself, taking turns
-    Trace(BenchTraceArgs),
-    /// The estimation of light against panoramas whose light is known
-    Light(BenchLightArgs),
-    /// The denoisers against converged images and Open Image Denoise
-    Denoise(BenchDenoiseArgs),
-}
-
-/// `holovol bench light`
-#[derive(Debug, Args)]
-#[command(after_long_help = "\
-Each panorama is turned 4 times and exposed so that 0.5, 2 and 8 % of it clip; the prior is fitted
-without the panorama that is measured. Errors: irradiance over 512 normals, unscaled, relative to
-the truth (RMSE); log₂ of mean irradiance over the true one (EV bias); angle between the dominant
-lights. On standard output comes one line of JSON.
-
-Example:
-  holovol bench light *.hdr --report light.md")]
-pub struct BenchLightArgs {
-    /// HDR panoramas, at least 3
-    #[arg(value_name = "PANO.hdr", required = true)]
-    pub panoramas: Vec<PathBuf>,
-    /// Turns of each panorama
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=16))]
-    pub rotations: u32,
-    /// Also write the results as a Markdown page
-    #[arg(long, value_name = "OUT.md")]
-    pub report: Option<PathBuf>,
-}
-
-/// `holovol bench denoise`
-#[derive(Debug, Args)]
-#[command(after_long_help = "\
-For each scene, seen by two eyes: relMSE and FLIP after 1, 2, 8 and 32 frames at rest, with a slow
-and a fast head, a turning volume and a turning light; ghosts after a lamp and a transfer function
-have switched; how far the eyes are apart, contrast at the scale of a pixel, flicker, places that
-come into view; time per stage. On standard output comes one line of JSON.
-
-Example:
-  holovol bench denoise iguana_studio.json --oidn oidnDenoise --report denoise.md")]
-pub struct BenchDenoiseArgs {
-    /// Scene files
-    #[arg(value_name = "SCENE.json", required = true)]
-    pub scenes: Vec<PathBuf>,
-    /// Samples per pixel, eye and frame
-    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..))]
-    pub spp: u32,
-    /// Samples per pixel of each of the reference's two halves
-    #[arg(long, value_name = "N", default_value_t = 128, value_parser = clap::value_parser!(u32).range(1..))]
-    pub reference_spp: u32,
-    /// Width and height in pixels, instead of the scene's
-    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=4096))]
-    pub size: Option<u32>,
-    /// Only cases whose name contains this, or `switch`; may be repeated
-    #[arg(long = "case", value_name = "CASE")]
-    pub cases: Vec<String>,
-    /// Seed of the noisy frames
-    #[arg(long, default_value_t = 0)]
-    pub seed: u64,
-    /// Measure flicker in motion too, which takes another reference per case
-    #[arg(long)]
-    pub flicker: bool,
-    /// The program of Open Image Denoise, to compare with
-    #[arg(long, value_name = "oidnDenoise")]
-    pub oidn: Option<PathBuf>,
-    /// Write the left eye's images into this folder
-    #[arg(long, value_name = "FOLDER")]
-    pub pictures: Option<PathBuf>,
-    /// Also write the results as Markdown tables
-    #[arg(long, value_name = "OUT.md")]
-    pub report: Option<PathBuf>,
-    /// Use the graphics adapter whose name or driver contains this
-    #[arg(long, value_name = "NAME")]
-    pub adapter: Option<String>,
-}
-
-/// `holovol bench trace`
-#[derive(Debug, Args)]
-#[command(after_long_help = "\
-Measures, for each scene: lookups and cells per sample; lookups per second, as a share of what a
-kernel that does nothing else reaches; time, error and efficiency against one majorant cell,
-hardware interpolation, plain random numbers, and one lit collision per flight. Then the cost of
-the first scene's field on 64³ to 512³ voxels. On standard output comes one line of JSON.
-
-Example:
-  holovol bench trace iguana_studio.json heptane_linear.json --report trace.md")]
-pub struct BenchTraceArgs {
-    /// Scene files
-    #[arg(value_name = "SCENE.json", required = true)]
-    pub scenes: Vec<PathBuf>,
-    /// Rounds; each runs everything once
-    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(2..))]
-    pub rounds: u32,
-    /// Samples per pixel of each run
-    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
-    pub spp: u32,
-    /// Leave out the measurement over volume sizes
-    #[arg(long)]
-    pub no_sizes: bool,
-    /// Also write the results as a Markdown page
-    #[arg(long, value_name = "OUT.md")]
-    pub report: Option<PathBuf>,
-    /// Use the graphics adapter whose name or driver contains this
-    #[arg(long, value_name = "NAME", value_parser = NonEmptyStringValueParser::new())]
-    pub adapter: Option<String>,
 }
 
 fn parse_seconds(text: &str) -> Result<f64, String> {

@@ -43,6 +43,7 @@ fn noise_hardly_publishes_anything() {
     };
     let mut files: Vec<_> = files.flatten().map(|file| file.path()).collect();
     files.sort();
+    assert!(!files.is_empty(), "{} is empty", folder.display());
     let mut restless = Vec::new();
     for file in files {
         let map = EnvironmentMap::load(&file).expect("a map");

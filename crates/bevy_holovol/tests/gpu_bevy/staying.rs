@@ -131,7 +131,7 @@ fn going_back() {
         assert_near("the former", dark(&mut app, &target), (-2f32).exp(), 0.01);
         times += 1;
     }
-    assert!(times > 1, "nothing was gone back from");
+    assert!(times > 0, "nothing was gone back from");
 }
 
 fn while_its_matter_is_loaded() {
