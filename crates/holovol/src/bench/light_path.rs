@@ -3,12 +3,14 @@
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use holovol_camera::{Exposure as Shutter, Sensor, VirtualCamera, VirtualLens};
 use holovol_light::estimate::{Estimator, Evidence, Exposure, Prior};
-use holovol_light::evaluate::{Case, Given, cells_of};
+use holovol_light::evaluate::{CLIPPED_SHARES, Case, Given, cells_of};
 use holovol_light::lens::{Calibration, FisheyePair, Lens, LensModel, Stitcher};
 use holovol_light::measure::{FluxCells, LightError512, normals};
 use holovol_light::{EnvironmentMap, Grid, luminance};
+use rayon::prelude::*;
 use serde::Serialize;
 
+use super::light::Figures;
 use super::median;
 
 /// Pixels across of each fisheye picture.
@@ -23,22 +25,32 @@ const MEI: (f64, f64, [f64; 3], [f64; 2]) = (2.0, 1.62, [0.04, -0.01, 0.0], [1e-
 /// What the virtual camera leaves of the −6 EV figures.
 #[derive(Serialize)]
 pub(super) struct EndToEnd {
-    pub(super) direct_rmse: f64,
-    pub(super) direct_ev_bias: f64,
-    pub(super) camera_rmse: f64,
-    pub(super) camera_ev_bias: f64,
+    pub(super) all: PathError,
+    pub(super) panoramas: Vec<PathError>,
     /// Largest deviation of irradiance from its mean in a uniform room.
     pub(super) seam: f64,
     /// The median of stitching alone, two threads.
     pub(super) stitch_milliseconds_1440: f64,
-    pub(super) panoramas: Vec<PathError>,
 }
 
-/// One panorama's irradiance RMSE and EV bias.
+/// Errors of the same cases without and with a camera between.
 #[derive(Serialize)]
 pub(super) struct PathError {
-    pub(super) direct: [f64; 2],
-    pub(super) camera: [f64; 2],
+    pub(super) direct: Figures,
+    pub(super) camera: Figures,
+}
+
+impl PathError {
+    fn of(errors: &[[LightError512; 2]]) -> Self {
+        let figures = |way: usize| {
+            let errors: Vec<LightError512> = errors.iter().map(|pair| pair[way]).collect();
+            Figures::of(&errors)
+        };
+        Self {
+            direct: figures(0),
+            camera: figures(1),
+        }
+    }
 }
 
 fn camera(pose: DQuat) -> VirtualCamera {
@@ -159,32 +171,30 @@ fn through_camera(case: &Case, prior: Prior, seed: u64) -> Result<LightError512,
     Ok(case.error(&cells_of(&estimator)))
 }
 
-/// Measures the way through the virtual camera; `priors[i]` was fitted without panorama i.
-pub(super) fn end_to_end(maps: &[EnvironmentMap], priors: &[Prior]) -> Result<EndToEnd, String> {
-    let (mut direct, mut through) = (Vec::new(), Vec::new());
-    for (i, (map, &prior)) in maps.iter().zip(priors).enumerate() {
-        let case = Case::new(i, map, 0, 0.02);
-        let mut estimator = Estimator::new(map.width(), map.height(), prior);
-        case.estimate(&mut estimator, Given::Minus6);
-        direct.push(case.error(&cells_of(&estimator)));
-        through.push(through_camera(&case, prior, i as u64)?);
-    }
-    let rmse =
-        |errors: &[LightError512]| median(errors.iter().map(|e| e.irradiance_rmse).collect());
-    let bias = |errors: &[LightError512]| median(errors.iter().map(|e| e.ev_bias.abs()).collect());
-    let figures = |error: &LightError512| [error.irradiance_rmse, error.ev_bias];
-    let pairs = direct.iter().zip(&through);
+/// Measures the way through the virtual camera, in every turn and exposure of each panorama;
+/// `priors[i]` was fitted without panorama i.
+pub(super) fn end_to_end(
+    maps: &[EnvironmentMap],
+    priors: &[Prior],
+    rotations: usize,
+) -> Result<EndToEnd, String> {
+    let per_map = rotations * CLIPPED_SHARES.len();
+    let cases = (0..maps.len() * per_map).into_par_iter();
+    let errors: Vec<[LightError512; 2]> = cases
+        .map(|i| {
+            let (map, turn) = (i / per_map, i % per_map / CLIPPED_SHARES.len());
+            let share = CLIPPED_SHARES[i % CLIPPED_SHARES.len()];
+            let case = Case::new(map, &maps[map], turn, share);
+            let mut estimator = Estimator::new(maps[map].width(), maps[map].height(), priors[map]);
+            case.estimate(&mut estimator, Given::Minus6);
+            let direct = case.error(&cells_of(&estimator));
+            // Another pose of the camera for each.
+            Ok([direct, through_camera(&case, priors[map], i as u64)?])
+        })
+        .collect::<Result<_, String>>()?;
     Ok(EndToEnd {
-        panoramas: pairs
-            .map(|(direct, camera)| PathError {
-                direct: figures(direct),
-                camera: figures(camera),
-            })
-            .collect(),
-        direct_rmse: rmse(&direct),
-        direct_ev_bias: bias(&direct),
-        camera_rmse: rmse(&through),
-        camera_ev_bias: bias(&through),
+        panoramas: errors.chunks_exact(per_map).map(PathError::of).collect(),
+        all: PathError::of(&errors),
         seam: seam()?,
         stitch_milliseconds_1440: time_stitch()?,
     })
