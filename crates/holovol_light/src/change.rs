@@ -18,8 +18,16 @@ const SIDE: usize = PATCHES * CELLS;
 const SURFACES: usize = 128;
 /// Radiance, relative to the mean, below which a camera's noise hides changes.
 const FLOOR: f32 = 0.02;
-/// A change of a patch's mean, or of irradiance, by this much, EV, halves similarity.
+/// A change of a patch's mean by 0.3 EV halves its similarity.
 const C1: f32 = 0.3 * 0.3;
+/// A change of irradiance by so much, EV, halves what is left of 1: a person who walks by takes up
+/// to 0.3 from some surface.
+const LIT: f32 = 0.55;
+/// So does light that comes from elsewhere, if it is this share of all: a sun that moves changes no
+/// surface more than a person does, but the way that all light comes from.
+const MOVED: f32 = 0.05;
+/// Keeps what a person does apart from what a lamp does.
+const POWER: i32 = 6;
 /// Structure below this spread, EV, is noise.
 const C2: f32 = 2.0 * 0.15 * 0.15;
 /// A patch that gives no surface this share of its irradiance can't change any by more, and is
@@ -31,7 +39,7 @@ const WHOLE: f32 = 0.008;
 const DARK: f32 = 0.05;
 /// What a patch that changes wholly is worth where irradiance stays: a person before a wall is
 /// seen, and may be mirrored, but lights nothing.
-const SEEN: f32 = 0.42;
+const SEEN: f32 = 0.45;
 
 /// Times that cells are blurred over their neighbours: what is found a fraction of a degree off, or
 /// once as a disc light and once in the map, would jump from one cell to the next.
@@ -39,13 +47,17 @@ const BLURS: usize = 2;
 
 /// Compares each frame's light with the last one's; allocates nothing after the first.
 ///
-/// Per patch the similarity τ is an SSIM of log radiance: C1/(Δμ² + C1) in place of SSIM's term of
-/// means, which depends on the unit of radiance, times (2σ₁₂ + C2)/(σ₁² + σ₂² + C2). Patches which
-/// give every surface less than 1 % of its irradiance are left out. Cells are blurred first. That is
-/// the picture. What it
-/// does is the largest change ΔE, EV, of the irradiance of 128 surfaces: its similarity is
-/// ε = C1/(ΔE² + C1). T = 1 − ε · (1 − 0.42 · (1 − min τ)): a change of the picture alone gives at
-/// most 0.42, a change of irradiance up to 1.
+/// The picture: per patch the similarity τ is an SSIM of log radiance, C1/(Δμ² + C1) in place of
+/// SSIM's term of means, which depends on the unit of radiance, times (2σ₁₂ + C2)/(σ₁² + σ₂² + C2).
+/// Cells are blurred first, and patches left out which give every surface less than 1 % of its
+/// irradiance.
+///
+/// The light: the largest change ΔE, EV, of the irradiance of 128 surfaces has a similarity of
+/// ε = 1/(1 + (ΔE/0.55)⁶). M is half of what the fluxes of overlapping patches differ by, over all
+/// light, with a similarity of μ = 1/(1 + (M/0.05)⁶).
+///
+/// T = 1 − ε μ (1 − 0.45 (1 − min τ)): a change of the picture alone gives at most 0.45, one of the
+/// light up to 1.
 #[derive(Clone, Debug)]
 pub struct ChangeDetector {
     frames: [Gathered; 3],
@@ -71,9 +83,23 @@ struct Gathered {
     /// Per patch: flux, and flux × direction.
     patches: Vec<f32>,
     vectors: Vec<Vec3>,
+    /// Flux of patches that overlap, each cell's shared among the four nearest: light that moves
+    /// goes over from one to the next little by little.
+    overlapping: Vec<f32>,
     /// Per surface.
     irradiance: Vec<f32>,
     all: f32,
+}
+
+/// What changed between two frames.
+#[derive(Clone, Copy, Default)]
+struct Change {
+    /// Of the patch that changed most, 0 … 1.
+    seen: f32,
+    /// Of the surface whose irradiance changed most, EV.
+    lit: f32,
+    /// Light that comes from other patches, over all.
+    moved: f32,
 }
 
 impl Default for ChangeDetector {
@@ -90,6 +116,7 @@ impl ChangeDetector {
             log: vec![0.0; SIDE * SIDE],
             patches: vec![0.0; PATCHES * PATCHES],
             vectors: vec![Vec3::ZERO; PATCHES * PATCHES],
+            overlapping: vec![0.0; PATCHES * PATCHES],
             irradiance: vec![0.0; SURFACES],
             all: 0.0,
         };
@@ -124,8 +151,12 @@ impl ChangeDetector {
         self.newest = (0..3).find(free).unwrap_or(0);
         self.previous = started.then_some(before);
         self.gather(grid, texels, discs);
-        self.previous
-            .map_or(1.0, |before| self.compare(before, |_| 1.0))
+        self.previous.map_or(1.0, |before| {
+            let Change { seen, lit, moved } = self.compare(before, |_| 1.0);
+            let similar = 1.0 / (1.0 + (lit / LIT).powi(POWER));
+            let similar = similar / (1.0 + (moved / MOVED).powi(POWER));
+            f64::from((1.0 - similar * (1.0 - SEEN * seen)).clamp(0.0, 1.0))
+        })
     }
 
     /// Keeps the newest frame as what [`Self::since_kept`] compares with.
@@ -133,21 +164,24 @@ impl ChangeDetector {
         self.kept = Some(self.newest);
     }
 
-    /// T between the kept frame and the newest, 1 if none was kept: but a patch counts only by what it
-    /// exchanges, fully from 0.8 % of a surface's irradiance on. A lamp that gives a thousandth of
-    /// the light may flicker.
+    /// How far the newest frame's light is from the kept one's, 0 … 1, 1 if none was kept: as T,
+    /// but small changes of irradiance count (0.3 EV halve what is left of 1), and a patch counts
+    /// only by what it exchanges, fully from 0.8 % of a surface's irradiance on. A lamp that gives
+    /// a thousandth of the light may flicker.
     pub fn since_kept(&self) -> f64 {
         self.kept.map_or(1.0, |kept| {
-            self.compare(kept, |share| (share / WHOLE).min(1.0))
+            let Change { seen, lit, .. } = self.compare(kept, |share| (share / WHOLE).min(1.0));
+            let similar = C1 / (lit * lit + C1);
+            f64::from((1.0 - similar * (1.0 - SEEN * seen)).clamp(0.0, 1.0))
         })
     }
 
-    /// T, where a patch counts by the share of a surface's irradiance that it exchanges.
-    fn compare(&self, other: usize, counts: impl Fn(f32) -> f32) -> f64 {
+    /// What changed, where a patch counts by the share of a surface's irradiance that it exchanges.
+    fn compare(&self, other: usize, counts: impl Fn(f32) -> f32) -> Change {
         let (a, b) = (&self.frames[other], &self.frames[self.newest]);
         let all = a.all.max(b.all);
         if other == self.newest || all <= 0.0 {
-            return 0.0;
+            return Change::default();
         }
         let dark = DARK * 0.25 * all;
         let mut brightest = [0.0; SURFACES];
@@ -158,9 +192,10 @@ impl ChangeDetector {
             ratio = ratio.max(most / least);
             *inverse = 1.0 / most;
         }
-        let mut changed = 0.0_f32;
+        let (mut changed, mut moved) = (0.0_f32, 0.0);
         for patch in 0..PATCHES * PATCHES {
             let flux = a.patches[patch].max(b.patches[patch]);
+            moved += (a.overlapping[patch] - b.overlapping[patch]).abs();
             let cosines = &self.cosines[patch * SURFACES..][..SURFACES];
             let shares = cosines.iter().zip(&brightest);
             let share = shares.fold(0.0_f32, |most, (c, inverse)| most.max(c * inverse));
@@ -171,8 +206,11 @@ impl ChangeDetector {
                 }
             }
         }
-        let lit = C1 / (ratio.log2().powi(2) + C1);
-        f64::from((1.0 - lit * (1.0 - SEEN * changed)).clamp(0.0, 1.0))
+        Change {
+            seen: changed,
+            lit: ratio.log2(),
+            moved: 0.5 * moved / all,
+        }
     }
 
     fn gather(&mut self, grid: &Grid, texels: &[[f32; 3]], discs: &[Light]) {
@@ -229,19 +267,38 @@ impl Gathered {
     fn sum(&mut self, cells: &Grid, surfaces: &[Vec3]) {
         self.patches.fill(0.0);
         self.vectors.fill(Vec3::ZERO);
+        self.overlapping.fill(0.0);
         for (y, row) in self.flux.chunks_exact(SIDE).enumerate() {
             let [sin, cos] = cells.row(y);
             let patches = y / CELLS * PATCHES;
+            let mut across = [0.0; PATCHES];
             for (i, block) in row.chunks_exact(CELLS).enumerate() {
                 let (mut sum, mut dx, mut dz) = (0.0, 0.0, 0.0);
+                let (mut left, mut right) = (0.0, 0.0);
                 for (k, &flux) in block.iter().enumerate() {
                     let [x, z] = cells.column(i * CELLS + k);
                     sum += flux;
                     dx += flux * x;
                     dz += flux * z;
+                    left += flux * (-from_middle(k)).max(0.0);
+                    right += flux * from_middle(k).max(0.0);
                 }
                 self.patches[patches + i] += sum;
                 self.vectors[patches + i] += Vec3::new(sin * dx, cos * sum, sin * dz);
+                across[i] += sum - left - right;
+                across[(i + PATCHES - 1) % PATCHES] += left;
+                across[(i + 1) % PATCHES] += right;
+            }
+            let down = from_middle(y % CELLS);
+            let own = y / CELLS;
+            let next = if down < 0.0 {
+                own.saturating_sub(1)
+            } else {
+                (own + 1).min(PATCHES - 1)
+            };
+            for (i, flux) in across.into_iter().enumerate() {
+                self.overlapping[own * PATCHES + i] += flux * (1.0 - down.abs());
+                self.overlapping[next * PATCHES + i] += flux * down.abs();
             }
         }
         self.all = self.patches.iter().sum();
@@ -261,6 +318,11 @@ impl Gathered {
             }
         }
     }
+}
+
+/// How far the middle of a patch's cell `k` is from the patch's own, in patches.
+fn from_middle(k: usize) -> f32 {
+    (k as f32 + 0.5) / CELLS as f32 - 0.5
 }
 
 /// Flux by which the cells of a patch differ.
