@@ -148,6 +148,50 @@ fn meter_and_probe_are_used_and_told() {
 }
 
 #[test]
+fn a_prior_of_ones_own_is_believed_and_a_wrong_one_refused() {
+    let bench = Bench::new();
+    room(0.0).save(bench.path("room.png")).unwrap();
+    let mut prior = json!({
+        "sun_over_sky": 2.3, "sun_sigma": 0.6, "gain": 0.0, "gain_sigma": 1.0,
+        "sigma_scale": [1.0, 1.0, 1.0, 1.0, 1.0],
+    });
+    let args = [
+        "light",
+        "--ldr",
+        "room.png",
+        "--prior",
+        "prior.json",
+        "--out",
+        "env.exr",
+    ];
+    let brightest = |prior: &Value| {
+        bench.write("prior.json", prior.to_string().as_bytes());
+        bench.json(&args);
+        let map = map(&bench.path("env.exr"));
+        map.texels()
+            .iter()
+            .map(|texel| texel[1])
+            .fold(0.0, f32::max)
+    };
+    // Nothing above clipping, and much.
+    assert!((brightest(&prior) - 1.0).abs() < 0.05);
+    prior["gain"] = json!(2.0);
+    assert!(brightest(&prior) > 5.0);
+
+    prior["gain"] = json!(-1.0);
+    bench.write("prior.json", prior.to_string().as_bytes());
+    refused(&bench, &args, 3, &["prior.json", "gain is out of range"]);
+    prior["gane"] = json!(1.0);
+    bench.write("prior.json", prior.to_string().as_bytes());
+    refused(
+        &bench,
+        &args,
+        3,
+        &["prior.json", "not a prior", "gane", "bench light"],
+    );
+}
+
+#[test]
 fn extreme_pictures_give_finite_light() {
     let bench = Bench::new();
     for (name, code) in [("black.png", 0), ("white.png", 255)] {

@@ -401,6 +401,10 @@ pub struct LightArgs {
     /// Camera response: srgb, gamma:NUMBER, or a response or calibration file
     #[arg(long, value_name = "CRF", default_value = "srgb")]
     pub crf: String,
+    /// What is believed of clipped lights, in place of the built-in prior: a prior as `holovol
+    /// bench light` prints it for panoramas of your own
+    #[arg(long, value_name = "PRIOR.json")]
+    pub prior: Option<PathBuf>,
     /// The radiance map to write: .exr or .hdr
     #[arg(long, value_name = "OUT.exr")]
     pub out: PathBuf,

@@ -41,10 +41,11 @@ pub(super) struct Change {
     pub(super) outside: usize,
 }
 
-/// Measures T for what may happen between two frames of each panorama, and of imagined ones.
-pub(super) fn changes(maps: &[EnvironmentMap]) -> Vec<Change> {
+/// Measures T for what may happen between two frames of each panorama, and of imagined ones made
+/// from this seed on.
+pub(super) fn changes(maps: &[EnvironmentMap], imagined_seed: u64) -> Vec<Change> {
     let small: Vec<EnvironmentMap> = maps.par_iter().map(shrunk).collect();
-    let imagined: Vec<EnvironmentMap> = (0..IMAGINED)
+    let imagined: Vec<EnvironmentMap> = (imagined_seed..imagined_seed + IMAGINED)
         .into_par_iter()
         .map(|seed| imagined(seed, SIZE[0], SIZE[1]))
         .collect();

@@ -28,16 +28,8 @@ struct Report {
     milliseconds_512x256: f64,
     end_to_end: EndToEnd,
     changes: Vec<Change>,
-    prior: PriorReport,
-}
-
-#[derive(Serialize)]
-struct PriorReport {
-    sun_over_sky: f64,
-    sun_sigma: f64,
-    gain: f64,
-    gain_sigma: f64,
-    sigma_scale: [f64; 5],
+    /// Fitted on all.
+    prior: Prior,
 }
 
 #[derive(Serialize)]
@@ -53,6 +45,8 @@ struct RungReport {
 #[derive(Serialize)]
 struct PanoramaReport {
     name: String,
+    /// What was fitted without it.
+    prior: Prior,
     plain: Figures,
     estimate: Figures,
     sigma_ev: f64,
@@ -164,19 +158,13 @@ pub(super) fn run(args: &BenchLightArgs) -> Result<(), Failure> {
     let report = Report {
         cases: outcomes.len(),
         rungs: (0..Given::ALL.len())
-            .map(|rung| summarise(rung, &outcomes, &args.panoramas))
+            .map(|rung| summarise(rung, &outcomes, &args.panoramas, &priors))
             .collect(),
         milliseconds_512x256: time_update(&maps[0], prior),
         end_to_end: light_path::end_to_end(&maps, &priors, rotations)
             .map_err(|problem| Failure::new(Exit::Internal, problem))?,
-        changes: changes::changes(&maps),
-        prior: PriorReport {
-            sun_over_sky: prior.sun_over_sky,
-            sun_sigma: prior.sun_sigma,
-            gain: prior.gain,
-            gain_sigma: prior.gain_sigma,
-            sigma_scale: prior.sigma_scale,
-        },
+        changes: changes::changes(&maps, args.imagined_seed.into()),
+        prior,
     };
     if let Some(path) = &args.report {
         let mut page = String::new();
@@ -210,6 +198,7 @@ fn summarise(
     rung: usize,
     outcomes: &[(usize, Vec<Outcome>)],
     panoramas: &[std::path::PathBuf],
+    priors: &[Prior],
 ) -> RungReport {
     let all: Vec<&Outcome> = outcomes.iter().map(|(_, of)| &of[rung]).collect();
     let bias: Vec<f64> = all.iter().map(|o| o.estimate.ev_bias.abs()).collect();
@@ -225,6 +214,7 @@ fn summarise(
         let plain: Vec<LightError512> = of_it.iter().map(|o| o.plain).collect();
         PanoramaReport {
             name: stem(path),
+            prior: priors[i],
             plain: Figures::of(&plain),
             estimate: Figures::of(&errors),
             sigma_ev: median(of_it.iter().map(|o| o.sigma_ev).collect()),

@@ -33,6 +33,9 @@ pub struct BenchLightArgs {
     /// Turns of each panorama
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=16))]
     pub rotations: u32,
+    /// First of the 64 seeds that rooms and days at random are made from
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    pub imagined_seed: u32,
     /// Also write the results as a Markdown page
     #[arg(long, value_name = "OUT.md")]
     pub report: Option<PathBuf>,

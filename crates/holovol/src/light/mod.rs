@@ -136,9 +136,11 @@ pub(crate) fn run(args: &LightArgs) -> Result<(), Failure> {
         ));
     }
 
+    let prior = args.prior.as_deref().map(read_prior).transpose()?;
+
     let started = Instant::now();
     let mut map = Vec::new();
-    let mut estimator = Estimator::new(width, height, Prior::default());
+    let mut estimator = Estimator::new(width, height, prior.unwrap_or_default());
     let passes_through = frames.len() == 1 && frames[0].1.hdr;
     if passes_through {
         notes.push("the picture is HDR already: its radiance is passed through".into());
@@ -265,6 +267,24 @@ fn write_map(
     }
     let pixels = map.iter().map(|&[r, g, b]| [r, g, b, 1.0]).collect();
     output::write_exr(&Image::new(width as u32, height as u32, pixels), path)
+}
+
+/// Reads a prior: the object `prior` of what `holovol bench light` prints.
+fn read_prior(path: &Path) -> Result<Prior, Failure> {
+    let input =
+        |problem: String| Failure::new(Exit::Input, format!("{}: {problem}", path.display()));
+    let text = std::fs::read_to_string(path).map_err(|error| input(error.to_string()))?;
+    let prior: Prior = serde_json::from_str(&text).map_err(|error| {
+        input(format!(
+            "not a prior ({error}); expected the object \"prior\" of what holovol bench light prints"
+        ))
+    })?;
+    match prior.invalid_field() {
+        None => Ok(prior),
+        Some(field) => Err(input(format!(
+            "{field} is out of range; holovol bench light fits priors to panoramas of your own"
+        ))),
+    }
 }
 
 /// Reads a probe: a JSON list of `{"normal": [x, y, z], "irradiance": [r, g, b]}`.

@@ -6,7 +6,8 @@ use std::f64::consts::{LN_2, PI};
 ///
 /// [`Prior::default`] is fitted on twelve CC0 panoramas of Poly Haven by `holovol bench light`,
 /// which also fits it again without each of them, and measures on that one.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Prior {
     /// log₂ of the sun's irradiance facing it over the horizontal irradiance of its clear sky.
     pub sun_over_sky: f64,
@@ -76,6 +77,21 @@ const HAZE_SIGMA: f64 = 0.14;
 const LARGEST_AIR_MASS: f64 = 8.0;
 
 impl Prior {
+    /// The first field that no light can have: spreads are above 0, a gain is at least 0, and a
+    /// sun no further than 10 EV from its sky.
+    pub fn invalid_field(&self) -> Option<&'static str> {
+        let spread = |sigma: f64| sigma.is_finite() && sigma > 0.0;
+        [
+            ("sun_over_sky", self.sun_over_sky.abs() <= 10.0),
+            ("sun_sigma", spread(self.sun_sigma)),
+            ("gain", (0.0..=10.0).contains(&self.gain)),
+            ("gain_sigma", spread(self.gain_sigma)),
+            ("sigma_scale", self.sigma_scale.into_iter().all(spread)),
+        ]
+        .into_iter()
+        .find_map(|(name, valid)| (!valid).then_some(name))
+    }
+
     /// One standard deviation of a sun's strength, EV: haze tells the more the longer the way
     /// through it (Beer–Lambert), and a doubtful sun is as unsure as it is doubtful.
     pub(super) fn sun_sigma(&self, sine_of_elevation: f64, sureness: f64) -> f64 {
