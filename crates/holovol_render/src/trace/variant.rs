@@ -88,6 +88,7 @@ pub(crate) fn shader_defs(
         ),
         ("ENVIRONMENT_CANDIDATES", environment),
         ("SCATTER_CANDIDATES", scatter),
+        ("LIGHT_BANDS", holovol_light::LIGHT_BANDS as u32),
         ("SLICES", u32::from(surroundings.slices)),
         ("MESH_DEPTH", u32::from(surroundings.mesh_depth)),
         ("SAMPLE_SHARES", u32::from(surroundings.sample_shares)),

@@ -306,6 +306,18 @@ pub const MUTATIONS: &[Caught] = &[
     ),
     caught(
         LIGHT,
+        "f32(band.x) * band_rows + band_row",
+        "f32(band.x) * band_rows",
+        draws::environment,
+    ),
+    caught(
+        LIGHT,
+        "alias_entry.y >> 16u",
+        "alias_entry.y >> 17u",
+        draws::environment,
+    ),
+    caught(
+        LIGHT,
         "xi.x >= bitcast",
         "xi.x < bitcast",
         draws::environment,
