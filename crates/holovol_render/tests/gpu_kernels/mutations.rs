@@ -55,6 +55,7 @@ const FIELD: &str = "shared/field.wgsl";
 const WALK: &str = "shared/walk.wgsl";
 const MAJORANT: &str = "majorant.wgsl";
 const TRACE: &str = "trace.wgsl";
+const PATH: &str = "path.wgsl";
 
 const DENOISE: &str = "holovol/holovol.wgsl";
 const GUIDE_KEYS: &str = "denoise/common.wgsl";
@@ -409,7 +410,7 @@ pub const MUTATIONS: &[Caught] = &[
         grids::empty_cells,
     ),
     caught(
-        TRACE,
+        PATH,
         "path.counter = w1.y",
         "path.counter = 0u",
         determinism::same_bits,
