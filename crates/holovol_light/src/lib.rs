@@ -30,4 +30,4 @@ pub mod xmp;
 
 pub use environment::{EnvironmentMap, LightError, luminance};
 pub use grid::Grid;
-pub use sampler::{AliasEntry, EnvironmentSampler, importance};
+pub use sampler::{AliasEntry, EnvironmentSampler, LIGHT_BANDS, importance};

@@ -28,12 +28,22 @@ pub(crate) fn texture_2d_array(filterable: bool) -> BindingType {
     texture(TextureViewDimension::D2Array, filterable)
 }
 
-pub(crate) fn texture_2d(filterable: bool) -> BindingType {
-    texture(TextureViewDimension::D2, filterable)
+/// A texture without levels that is read texel by texel. llvmpipe reads sampled textures more
+/// slowly: it finds each lane's level.
+pub(crate) fn texels(
+    format: wgpu::TextureFormat,
+    view_dimension: TextureViewDimension,
+) -> BindingType {
+    BindingType::StorageTexture {
+        access: wgpu::StorageTextureAccess::ReadOnly,
+        format,
+        view_dimension,
+    }
 }
 
-pub(crate) fn texture_2d_uint() -> BindingType {
-    sampled(TextureViewDimension::D2, TextureSampleType::Uint)
+/// Of every kernel that walks from cell to cell.
+pub(crate) fn majorants() -> BindingType {
+    texels(wgpu::TextureFormat::R32Float, TextureViewDimension::D3)
 }
 
 pub(crate) fn texture_2d_array_uint() -> BindingType {

@@ -40,6 +40,7 @@ pub(crate) const SHARED: &[ShaderFile] = &[
     shader_file!("shared/environment.wgsl"),
     shader_file!("shared/walk.wgsl"),
     shader_file!("shared/scattering.wgsl"),
+    crate::trace::PATH,
     shader_file!("denoise/common.wgsl"),
 ];
 

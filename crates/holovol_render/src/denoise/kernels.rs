@@ -7,7 +7,7 @@ use wgpu::BindingResource as Resource;
 use super::passes::Passes;
 use super::{DenoiseSettings, GUIDES, pass_defs};
 use crate::frame::Matter;
-use crate::layout::{storage, texture_2d_array, texture_3d, uniform};
+use crate::layout::{majorants, storage, texture_2d_array, texture_3d, uniform};
 use crate::shader::ShaderDefs;
 use crate::trace::{Surroundings, shader_defs};
 use crate::variants::Variants;
@@ -158,7 +158,7 @@ impl GuideKernel {
                 (0, uniform()),
                 (2, field),
                 (3, wgpu::BindingType::Sampler(sampler)),
-                (4, texture_3d(false)),
+                (4, majorants()),
                 (5, storage(true)),
                 (6, storage(true)),
                 (14, uniform()),

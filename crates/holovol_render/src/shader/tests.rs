@@ -24,6 +24,7 @@ const PLAIN: &[(&str, u32)] = &[
     ("CONSTANT_ENVIRONMENT", 0),
     ("ENVIRONMENT_CANDIDATES", 1),
     ("SCATTER_CANDIDATES", 1),
+    ("LIGHT_BANDS", holovol_light::LIGHT_BANDS as u32),
     ("SLICES", 1),
     ("MESH_DEPTH", 0),
     ("SAMPLE_SHARES", 0),
@@ -313,7 +314,7 @@ fn to_msl(module: &naga::Module, info: &ModuleInfo, entry: &str) -> Result<(), S
         .map_err(|error| error.to_string())
 }
 
-/// WebGPU's defaults allow eight storage buffers and one storage texture, four of 64 KiB uniforms.
+/// WebGPU's defaults allow eight storage buffers and four storage textures, four of 64 KiB uniforms.
 #[test]
 fn bindings_are_dense_and_within_webgpus_limits() {
     let limits = wgpu::Limits::default();
@@ -341,6 +342,20 @@ fn bindings_are_dense_and_within_webgpus_limits() {
         assert!(
             storage <= limits.max_storage_buffers_per_shader_stage,
             "{storage}"
+        );
+        let is_storage_texture = |v: &naga::GlobalVariable| {
+            matches!(
+                module.types[v.ty].inner,
+                naga::TypeInner::Image {
+                    class: naga::ImageClass::Storage { .. },
+                    ..
+                }
+            )
+        };
+        let textures = count(&is_storage_texture);
+        assert!(
+            textures <= limits.max_storage_textures_per_shader_stage,
+            "{textures}"
         );
     }
 }

@@ -18,7 +18,8 @@ struct Scene {
     field: vec4<f32>,
     // x, y: cosine and sine of rotation_y; z: scale; w: unused.
     environment: vec4<f32>,
-    // x, y: texels of the map; z: 1 / integral of importance over (u, v) * sin(theta); w: unused.
+    // x, y: texels of the map; z: 1 / integral of importance over (u, v) * sin(theta); w: rows of
+    // a band of its alias table.
     environment_size: vec4<f32>,
     // As TransferPoint.density, if there are few points.
     transfer_density: array<vec4<f32>, #{UNROLLED_POINTS}>,
@@ -103,12 +104,12 @@ struct SavedPath {
 @group(0) @binding(2) var field_texture: texture_3d<f32>;
 #endif
 @group(0) @binding(3) var field_sampler: sampler;
-@group(0) @binding(4) var majorant_texture: texture_3d<f32>;
+@group(0) @binding(4) var majorant_texture: texture_storage_3d<r32float, read>;
 @group(0) @binding(5) var<storage, read> occupied: Occupied;
 @group(0) @binding(6) var<storage, read> transfer_points: array<TransferPoint>;
-@group(0) @binding(7) var environment_texture: texture_2d<f32>;
-// Per patch: threshold (bits of an f32), and which patch it goes to above that; in rows of the map.
-@group(0) @binding(8) var environment_alias: texture_2d<u32>;
+@group(0) @binding(7) var environment_texture: texture_storage_2d<rgba32float, read>;
+// Per patch: threshold (bits of an f32), and column + row * 2^16 of that to go to above it.
+@group(0) @binding(8) var environment_alias: texture_storage_2d<rg32uint, read>;
 // Two sums per pixel: of the last FOLD_SAMPLES, and of those before.
 @group(0) @binding(9) var<storage, read_write> accumulators: array<vec4<f32>>;
 @group(0) @binding(10) var<storage, read_write> counters: Counters;

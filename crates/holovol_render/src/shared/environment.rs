@@ -3,7 +3,7 @@
 use std::f32::consts::{PI, TAU};
 
 use glam::{IVec2, Vec2, Vec3, ivec2, vec2};
-use holovol_light::EnvironmentSampler;
+use holovol_light::{EnvironmentSampler, LIGHT_BANDS};
 
 use super::mix;
 
@@ -12,8 +12,9 @@ use super::mix;
 pub struct Light {
     size: IVec2,
     texels: Vec<Vec3>,
-    /// Thresholds and aliases of the patches.
-    alias: Vec<(f32, u32)>,
+    /// Thresholds and aliases (column, row) of the patches.
+    alias: Vec<(f32, [u16; 2])>,
+    band_rows: u32,
     normalisation: f32,
     cos_sin: Vec2,
     scale: f32,
@@ -66,6 +67,7 @@ impl Light {
             alias: entries
                 .map(|entry| (entry.threshold, entry.alias))
                 .collect(),
+            band_rows: (sampler.rows() / LIGHT_BANDS) as u32,
             normalisation: sampler.normalisation() as f32,
             cos_sin: vec2(cos as f32, sin as f32),
             scale: environment.scale as f32,
@@ -106,16 +108,19 @@ impl Light {
         lerp(row(i.y), row(i.y + 1), weight.y)
     }
 
-    /// Draws a direction: `bits` choose the patch, xi the rest.
-    pub fn sample(&self, bits: u32, xi: [f32; 3]) -> LightSample {
-        let patches = u64::from(self.size.x as u32) * u64::from(self.size.y as u32 + 1);
-        let mut entry = ((u64::from(bits) * patches) >> 32) as u32;
-        let (threshold, alias) = self.alias[entry as usize];
+    /// Draws a direction: `bits` and `v` choose the patch, xi the rest.
+    pub fn sample(&self, bits: u32, v: f32, xi: [f32; 3]) -> LightSample {
+        let wide = |a: u32, b: u32| u64::from(a) * u64::from(b);
+        let band = wide(bits, LIGHT_BANDS as u32);
+        let column = wide(band as u32, self.size.x as u32) >> 32;
+        let rows = self.band_rows as f32;
+        let row = (band >> 32) as u32 * self.band_rows + (v * rows).floor().min(rows - 1.0) as u32;
+        let (mut column, mut row) = (column as i32, row as i32);
+        let (threshold, alias) = self.alias[(column + self.size.x * row) as usize];
         if xi[0] >= threshold {
-            entry = alias;
+            [column, row] = alias.map(i32::from);
         }
-        let column = (entry % self.size.x as u32) as i32;
-        let row = (entry / self.size.x as u32) as i32 - 1;
+        row -= 1;
         let corner = |x, y| importance(self.texel(column + x, row + y));
         let top = [corner(0, 0), corner(1, 0)];
         let bottom = [corner(0, 1), corner(1, 1)];
@@ -125,9 +130,9 @@ impl Light {
         let x = sample_linear(left, right, xi[1]);
         let corner = vec2(column as f32, row as f32);
         let uv = (corner + 0.5 + vec2(x, y)) / self.size.as_vec2();
-        let v = if uv.y > 1.0 { 2.0 - uv.y } else { uv.y.abs() };
+        let mirrored = if uv.y > 1.0 { 2.0 - uv.y } else { uv.y.abs() };
         let radiance = self.bilinear(ivec2(column, row), vec2(x, y));
-        let (sin_theta, cos_theta) = (v * PI).sin_cos();
+        let (sin_theta, cos_theta) = (mirrored * PI).sin_cos();
         let (sin_phi, cos_phi) = ((uv.x - 0.5) * TAU).sin_cos();
         let d = Vec3::new(sin_theta * sin_phi, cos_theta, -sin_theta * cos_phi);
         let Vec2 { x: c, y: s } = self.cos_sin;

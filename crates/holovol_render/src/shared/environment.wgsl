@@ -20,7 +20,7 @@ fn importance(rgb: vec3<f32>) -> f32 {
 fn environment_texel(x: i32, y: i32, size: vec2<i32>) -> vec3<f32> {
     let wrapped = select(x, x - size.x, x >= size.x);
     let column = select(wrapped, wrapped + size.x, wrapped < 0);
-    return textureLoad(environment_texture, vec2<i32>(column, clamp(y, 0, size.y - 1)), 0).rgb;
+    return textureLoad(environment_texture, vec2<i32>(column, clamp(y, 0, size.y - 1))).rgb;
 }
 
 // Mean of sin(theta) over the strip between the texel rows that v lies in: what the alias table
@@ -71,33 +71,35 @@ fn sample_linear(a: f32, b: f32, xi: f32) -> f32 {
     return clamp(xi * (low + high) / max(low + root, 1e-12), 0.0, 1.0);
 }
 
-// High word of the 64-bit product.
-fn multiply_high(a: u32, b: u32) -> u32 {
+// High and low word of the 64-bit product.
+fn multiply_wide(a: u32, b: u32) -> vec2<u32> {
     let a0 = a & 0xffffu;
     let a1 = a >> 16u;
     let b0 = b & 0xffffu;
     let b1 = b >> 16u;
     let middle = a1 * b0 + ((a0 * b0) >> 16u);
     let middle_low = (middle & 0xffffu) + a0 * b1;
-    return a1 * b1 + (middle >> 16u) + (middle_low >> 16u);
+    return vec2<u32>(a1 * b1 + (middle >> 16u) + (middle_low >> 16u), a * b);
 }
 
-// Draws a direction: all 32 bits choose the patch (24 would miss patches of large maps), xi.x
-// between it and its alias, xi.yz the place in it.
-fn environment_sample(bits: u32, xi: vec3<f32>) -> LightSample {
+// Draws a direction: bits choose band and column, v the row in the band, xi.x between that patch
+// and its alias, xi.yz the place in it.
+fn environment_sample(bits: u32, v: f32, xi: vec3<f32>) -> LightSample {
 #if CONSTANT_ENVIRONMENT == 1
     return environment_eval(vec3<f32>(0.0, 1.0, 0.0));
 #else
     let size = vec2<i32>(scene.environment_size.xy);
-    let patches = u32(size.x) * u32(size.y + 1);
-    var entry = multiply_high(bits, patches);
-    let place = vec2<u32>(entry % u32(size.x), entry / u32(size.x));
-    let alias_entry = textureLoad(environment_alias, place, 0).xy;
+    let band_rows = scene.environment_size.w;
+    let band = multiply_wide(bits, #{LIGHT_BANDS}u);
+    let band_row = min(floor(v * band_rows), band_rows - 1.0);
+    var column = i32(multiply_wide(band.y, u32(size.x)).x);
+    var row = i32(f32(band.x) * band_rows + band_row);
+    let alias_entry = textureLoad(environment_alias, vec2<i32>(column, row)).xy;
     if xi.x >= bitcast<f32>(alias_entry.x) {
-        entry = alias_entry.y;
+        column = i32(alias_entry.y & 0xffffu);
+        row = i32(alias_entry.y >> 16u);
     }
-    let column = i32(entry % u32(size.x));
-    let row = i32(entry / u32(size.x)) - 1;
+    row -= 1;
     let l00 = environment_texel(column, row, size);
     let l10 = environment_texel(column + 1, row, size);
     let l01 = environment_texel(column, row + 1, size);
@@ -109,9 +111,9 @@ fn environment_sample(bits: u32, xi: vec3<f32>) -> LightSample {
     let x = sample_linear(left_right.x, left_right.y, xi.y);
     let uv = (vec2<f32>(f32(column), f32(row)) + 0.5 + vec2<f32>(x, y)) / scene.environment_size.xy;
     // The half strips at the poles hold half of a patch that is constant in v: mirror into them.
-    let v = select(select(uv.y, 2.0 - uv.y, uv.y > 1.0), -uv.y, uv.y < 0.0);
+    let mirrored = select(select(uv.y, 2.0 - uv.y, uv.y > 1.0), -uv.y, uv.y < 0.0);
     let radiance = mix(mix(l00, l10, x), mix(l01, l11, x), y);
-    let theta = v * PI;
+    let theta = mirrored * PI;
     let phi = (uv.x - 0.5) * 2.0 * PI;
     let sin_theta = sin(theta);
     let d = vec3<f32>(sin_theta * sin(phi), cos(theta), -sin_theta * cos(phi));

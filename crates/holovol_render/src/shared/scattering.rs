@@ -22,13 +22,13 @@ pub fn choose_light(
         let bits = pcg3d([key[0], key[1], key[2].wrapping_add(2 * i)]);
         let xi = pcg3d([key[0], key[1], key[2].wrapping_add(2 * i + 1)]).map(unit_float);
         let candidate = if i < environment {
-            let (index, last) = if i == 0 {
+            let (index, v) = if i == 0 {
                 let bits = ((first[0] * 16_777_216.0) as u32) << 8 | bits[1] >> 24;
                 (bits, first[1])
             } else {
-                (bits[0], xi[2])
+                (bits[0], unit_float(bits[1]))
             };
-            light.sample(index, [xi[0], xi[1], last])
+            light.sample(index, v, xi)
         } else {
             let [u, v] = match i {
                 0 => first,

@@ -37,7 +37,7 @@ fn choose_light(
         var light: LightSample;
         if i < ENVIRONMENT_CANDIDATES {
             let index = select(bits.x, u32(first.x * 16777216.0) << 8u | bits.y >> 24u, i == 0u);
-            light = environment_sample(index, vec3<f32>(xi.xy, select(xi.z, first.y, i == 0u)));
+            light = environment_sample(index, select(unit_float(bits.y), first.y, i == 0u), xi);
         } else {
             let uv = select(unit_float_pair(bits.xy), first, i == 0u);
             light = environment_eval(scatter_sample(g, surface, wo, vec3<f32>(uv, xi.z)));

@@ -312,7 +312,8 @@ fn environment_is_drawn_as_evaluated() {
         let samples: Vec<_> = (0..20_000)
             .map(|i| {
                 let bits = pcg3d([i, case as u32, 3])[0];
-                light.sample(bits, numbers(i, 900 + case as u32))
+                let [v, ..] = numbers(i, 950 + case as u32);
+                light.sample(bits, v, numbers(i, 900 + case as u32))
             })
             .collect();
         for sample in &samples {

@@ -64,7 +64,7 @@ fn walk_next(walk: Walk) -> vec3<f32> {
 }
 
 fn walk_majorant(cell: vec3<i32>) -> f32 {
-    return textureLoad(majorant_texture, cell, 0).x;
+    return textureLoad(majorant_texture, cell).x;
 }
 
 // Cuts a walk to what the clip planes leave.

@@ -15,11 +15,11 @@ const WALK_MISSED: u32 = 3u;
 // More rounds than a walk through any test's grid takes.
 const WALK_ROUNDS: u32 = 4096u;
 
-fn read(lane: u32, i: u32) -> vec4<f32> {
+fn input(lane: u32, i: u32) -> vec4<f32> {
     return accumulators[4u * lane + i];
 }
 
-fn write(lane: u32, i: u32, value: vec4<f32>) {
+fn output(lane: u32, i: u32, value: vec4<f32>) {
     guides[4u * lane + i] = value;
 }
 
@@ -30,22 +30,22 @@ fn idle(lane: u32) -> bool {
 @compute @workgroup_size(#{WORKGROUP_SIZE})
 fn random(@builtin(global_invocation_id) id: vec3<u32>) {
     if idle(id.x) { return; }
-    let words = bitcast<vec4<u32>>(read(id.x, 0u));
-    write(id.x, 0u, bitcast<vec4<f32>>(vec4<u32>(pcg3d(words.xyz), 0u)));
-    write(id.x, 1u, vec4<f32>(sobol_pair(words.x, words.y), 0.0, 0.0));
+    let words = bitcast<vec4<u32>>(input(id.x, 0u));
+    output(id.x, 0u, bitcast<vec4<f32>>(vec4<u32>(pcg3d(words.xyz), 0u)));
+    output(id.x, 1u, vec4<f32>(sobol_pair(words.x, words.y), 0.0, 0.0));
     let scrambled = owen_scramble_reversed(words.x, words.y);
     let second = sobol_second_reversed(words.x);
-    write(id.x, 2u, bitcast<vec4<f32>>(vec4<u32>(scrambled, second, 0u, 0u)));
+    output(id.x, 2u, bitcast<vec4<f32>>(vec4<u32>(scrambled, second, 0u, 0u)));
 }
 
 // (wo, g), (xi, 0, 0), (wi, 0): (drawn wi, its density), (density of wi, 0, 0, 0).
 @compute @workgroup_size(#{WORKGROUP_SIZE})
 fn phase(@builtin(global_invocation_id) id: vec3<u32>) {
     if idle(id.x) { return; }
-    let wo = read(id.x, 0u);
-    let wi = phase_sample(wo.w, wo.xyz, read(id.x, 1u).xy);
-    write(id.x, 0u, vec4<f32>(wi, phase_eval(wo.w, wo.xyz, wi)));
-    write(id.x, 1u, vec4<f32>(phase_eval(wo.w, wo.xyz, read(id.x, 2u).xyz), 0.0, 0.0, 0.0));
+    let wo = input(id.x, 0u);
+    let wi = phase_sample(wo.w, wo.xyz, input(id.x, 1u).xy);
+    output(id.x, 0u, vec4<f32>(wi, phase_eval(wo.w, wo.xyz, wi)));
+    output(id.x, 1u, vec4<f32>(phase_eval(wo.w, wo.xyz, input(id.x, 2u).xyz), 0.0, 0.0, 0.0));
 }
 
 // (normal, P), (wo, g), (xi, specular), (wi, alpha): (drawn wi, f), (its density, f and density
@@ -53,14 +53,14 @@ fn phase(@builtin(global_invocation_id) id: vec3<u32>) {
 @compute @workgroup_size(#{WORKGROUP_SIZE})
 fn surface(@builtin(global_invocation_id) id: vec3<u32>) {
     if idle(id.x) { return; }
-    let a = read(id.x, 0u);
-    let b = read(id.x, 1u);
-    let c = read(id.x, 2u);
-    let d = read(id.x, 3u);
+    let a = input(id.x, 0u);
+    let b = input(id.x, 1u);
+    let c = input(id.x, 2u);
+    let d = input(id.x, 3u);
     let surface = Surface(a.xyz, a.w, c.w, d.w);
     let wi = scatter_sample(b.w, surface, b.xyz, c.xyz);
-    write(id.x, 0u, vec4<f32>(wi, scatter_eval(b.w, surface, b.xyz, wi)));
-    write(id.x, 1u, vec4<f32>(
+    output(id.x, 0u, vec4<f32>(wi, scatter_eval(b.w, surface, b.xyz, wi)));
+    output(id.x, 1u, vec4<f32>(
         scatter_pdf(b.w, surface, b.xyz, wi),
         scatter_eval(b.w, surface, b.xyz, d.xyz),
         scatter_pdf(b.w, surface, b.xyz, d.xyz),
@@ -68,36 +68,37 @@ fn surface(@builtin(global_invocation_id) id: vec3<u32>) {
     ));
 }
 
-// (xi, bits), (wi, 0): (drawn wi, density), (its radiance, density of drawn wi as evaluated),
+// (xi, bits), (wi, v): (drawn wi, density), (its radiance, density of drawn wi as evaluated),
 // (radiance of wi, density).
 @compute @workgroup_size(#{WORKGROUP_SIZE})
 fn light(@builtin(global_invocation_id) id: vec3<u32>) {
     if idle(id.x) { return; }
-    let xi = read(id.x, 0u);
-    let drawn = environment_sample(bitcast<u32>(xi.w), xi.xyz);
-    write(id.x, 0u, vec4<f32>(drawn.wi, drawn.pdf));
-    write(id.x, 1u, vec4<f32>(drawn.radiance, environment_eval(drawn.wi).pdf));
-    let given = environment_eval(read(id.x, 1u).xyz);
-    write(id.x, 2u, vec4<f32>(given.radiance, given.pdf));
+    let xi = input(id.x, 0u);
+    let wi = input(id.x, 1u);
+    let drawn = environment_sample(bitcast<u32>(xi.w), wi.w, xi.xyz);
+    output(id.x, 0u, vec4<f32>(drawn.wi, drawn.pdf));
+    output(id.x, 1u, vec4<f32>(drawn.radiance, environment_eval(drawn.wi).pdf));
+    let given = environment_eval(wi.xyz);
+    output(id.x, 2u, vec4<f32>(given.radiance, given.pdf));
 }
 
 // (s, 0, 0, 0): (sigma_t, emission by itself), (albedo, roughness), (emission, specular).
 @compute @workgroup_size(#{WORKGROUP_SIZE})
 fn transfer(@builtin(global_invocation_id) id: vec3<u32>) {
     if idle(id.x) { return; }
-    let s = read(id.x, 0u).x;
+    let s = input(id.x, 0u).x;
     let material = transfer_material(s);
-    write(id.x, 0u, vec4<f32>(transfer_sigma_t(s), transfer_emission(s)));
-    write(id.x, 1u, vec4<f32>(material.albedo, material.roughness));
-    write(id.x, 2u, vec4<f32>(material.emission, material.specular));
+    output(id.x, 0u, vec4<f32>(transfer_sigma_t(s), transfer_emission(s)));
+    output(id.x, 1u, vec4<f32>(material.albedo, material.roughness));
+    output(id.x, 2u, vec4<f32>(material.emission, material.specular));
 }
 
 // (texel, 0): (gradient, s).
 @compute @workgroup_size(#{WORKGROUP_SIZE})
 fn field(@builtin(global_invocation_id) id: vec3<u32>) {
     if idle(id.x) { return; }
-    let texel = read(id.x, 0u).xyz;
-    write(id.x, 0u, vec4<f32>(field_gradient(texel), field_at(texel)));
+    let texel = input(id.x, 0u).xyz;
+    output(id.x, 0u, vec4<f32>(field_gradient(texel), field_at(texel)));
 }
 
 // (cell, 0): (sigma_maj, 0, 0, 0), (lowest occupied cell, 0), (one past the highest, 0).
@@ -105,10 +106,10 @@ fn field(@builtin(global_invocation_id) id: vec3<u32>) {
 fn majorant(@builtin(global_invocation_id) id: vec3<u32>) {
     if idle(id.x) { return; }
     load_occupied();
-    let cell = vec3<i32>(read(id.x, 0u).xyz);
-    write(id.x, 0u, vec4<f32>(walk_majorant(cell), 0.0, 0.0, 0.0));
-    write(id.x, 1u, bitcast<vec4<f32>>(vec4<i32>(low_cell, 0)));
-    write(id.x, 2u, bitcast<vec4<f32>>(vec4<i32>(high_cell, 0)));
+    let cell = vec3<i32>(input(id.x, 0u).xyz);
+    output(id.x, 0u, vec4<f32>(walk_majorant(cell), 0.0, 0.0, 0.0));
+    output(id.x, 1u, bitcast<vec4<f32>>(vec4<i32>(low_cell, 0)));
+    output(id.x, 2u, bitcast<vec4<f32>>(vec4<i32>(high_cell, 0)));
 }
 
 // (origin, tau), (direction, t_start): (event, distance, t_cell, t_end), (cell, 0).
@@ -116,30 +117,30 @@ fn majorant(@builtin(global_invocation_id) id: vec3<u32>) {
 fn walk(@builtin(global_invocation_id) id: vec3<u32>) {
     if idle(id.x) { return; }
     load_occupied();
-    let a = read(id.x, 0u);
-    let b = read(id.x, 1u);
+    let a = input(id.x, 0u);
+    let b = input(id.x, 1u);
     var walk = walk_start(a.xyz, b.xyz, b.w, a.w);
     if !(walk.t_end > walk.t_cell) {
-        write(id.x, 0u, vec4<f32>(f32(WALK_MISSED), 0.0, 0.0, 0.0));
+        output(id.x, 0u, vec4<f32>(f32(WALK_MISSED), 0.0, 0.0, 0.0));
         return;
     }
     var event = WALK_MOVING;
     for (var i = 0u; i < WALK_ROUNDS && event == WALK_MOVING; i += 1u) {
         event = walk_advance(&walk, #{STEPS_PER_ROUND}u);
     }
-    write(id.x, 0u, vec4<f32>(f32(event), walk_distance(walk), walk.t_cell, walk.t_end));
-    write(id.x, 1u, vec4<f32>(vec3<f32>(walk.cell), 0.0));
+    output(id.x, 0u, vec4<f32>(f32(event), walk_distance(walk), walk.t_cell, walk.t_end));
+    output(id.x, 1u, vec4<f32>(vec3<f32>(walk.cell), 0.0));
 }
 
 // (normal, P), (wo, g), (first, specular, alpha), (key, 0): (wi, 0), (weight, 0).
 @compute @workgroup_size(#{WORKGROUP_SIZE})
 fn choice(@builtin(global_invocation_id) id: vec3<u32>) {
     if idle(id.x) { return; }
-    let a = read(id.x, 0u);
-    let b = read(id.x, 1u);
-    let c = read(id.x, 2u);
-    let key = bitcast<vec4<u32>>(read(id.x, 3u));
+    let a = input(id.x, 0u);
+    let b = input(id.x, 1u);
+    let c = input(id.x, 2u);
+    let key = bitcast<vec4<u32>>(input(id.x, 3u));
     let choice = choose_light(b.w, Surface(a.xyz, a.w, c.z, c.w), b.xyz, c.xy, key.xyz);
-    write(id.x, 0u, vec4<f32>(choice.wi, 0.0));
-    write(id.x, 1u, vec4<f32>(choice.weight, 0.0));
+    output(id.x, 0u, vec4<f32>(choice.wi, 0.0));
+    output(id.x, 1u, vec4<f32>(choice.weight, 0.0));
 }

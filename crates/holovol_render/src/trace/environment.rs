@@ -1,4 +1,4 @@
-use holovol_light::{EnvironmentMap, EnvironmentSampler};
+use holovol_light::{EnvironmentMap, EnvironmentSampler, LIGHT_BANDS};
 use wgpu::util::DeviceExt;
 
 use crate::denoise::Sun;
@@ -16,6 +16,8 @@ pub struct GpuEnvironment {
     sun: Option<Sun>,
     /// 1 / integral of importance; `None` if nothing can be drawn: a constant or a black map.
     normalisation: Option<f64>,
+    /// Of the table that light is drawn from.
+    alias_rows: u32,
 }
 
 impl GpuEnvironment {
@@ -31,14 +33,15 @@ impl GpuEnvironment {
             (map.width() as u32, map.height() as u32)
         };
         let limit = gpu.device.limits().max_texture_dimension_2d;
-        // The table has a row more than the map.
-        if width > limit || height >= limit {
+        // The table has more rows than the map.
+        let alias_rows = (height + 1).next_multiple_of(LIGHT_BANDS as u32);
+        if width > limit || alias_rows > limit {
             return Err(RenderError::Scene {
                 field: "environment",
                 reason: format!(
                     "map of {width} × {height}: this device holds at most {limit} × {}; make it \
                      smaller",
-                    limit - 1
+                    limit - limit % LIGHT_BANDS as u32 - 1
                 ),
             });
         }
@@ -51,11 +54,15 @@ impl GpuEnvironment {
             Some(sampler) => {
                 let entries = sampler.entries().iter();
                 entries
-                    .map(|entry| [entry.threshold.to_bits(), entry.alias])
+                    .map(|entry| {
+                        let [column, row] = entry.alias.map(u32::from);
+                        [entry.threshold.to_bits(), column | row << 16]
+                    })
                     .collect()
             }
-            None => vec![[0, 0]; width as usize * (height as usize + 1)],
+            None => vec![[0, 0]; width as usize],
         };
+        let alias_rows = (alias.len() / width as usize) as u32;
         let texels: Vec<[f32; 4]> = map.texels()[..width as usize * height as usize]
             .iter()
             .map(|&[r, g, b]| [r, g, b, 0.0])
@@ -76,7 +83,7 @@ impl GpuEnvironment {
                         sample_count: 1,
                         dimension: wgpu::TextureDimension::D2,
                         format,
-                        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+                        usage: wgpu::TextureUsages::STORAGE_BINDING | wgpu::TextureUsages::COPY_DST,
                         view_formats: &[],
                     },
                     wgpu::util::TextureDataOrder::LayerMajor,
@@ -93,7 +100,7 @@ impl GpuEnvironment {
                 ),
                 texture(
                     "holovol light",
-                    height + 1,
+                    alias_rows,
                     wgpu::TextureFormat::Rg32Uint,
                     bytemuck::cast_slice(&alias),
                 ),
@@ -106,6 +113,7 @@ impl GpuEnvironment {
             constant,
             sun: Sun::find(map),
             normalisation: sampler.map(|sampler| sampler.normalisation()),
+            alias_rows,
         })
     }
 
@@ -125,7 +133,7 @@ impl GpuEnvironment {
     }
 
     /// `environment_size` of the scene uniform: a constant map's scaled radiance, or the size of
-    /// another and the normalisation of its density.
+    /// another, the normalisation of its density, and rows of a band of its table.
     pub(super) fn size_or_radiance(&self, scale: f64) -> [f32; 4] {
         match self.constant {
             Some(radiance) => {
@@ -134,7 +142,9 @@ impl GpuEnvironment {
             }
             None => {
                 let normalisation = self.normalisation.unwrap_or(0.0) as f32;
-                [self.size[0] as f32, self.size[1] as f32, normalisation, 0.0]
+                let [width, height] = self.size.map(|n| n as f32);
+                let band_rows = self.alias_rows / LIGHT_BANDS as u32;
+                [width, height, normalisation, band_rows as f32]
             }
         }
     }

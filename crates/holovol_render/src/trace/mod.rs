@@ -37,7 +37,7 @@ pub(crate) use resources::{Buffers, GUIDE_BYTES, PIXEL_BYTES, layout};
 pub use uniforms::MAX_VIEWS;
 pub(crate) use uniforms::{DispatchUniform, ViewUniform, kernel_seed};
 use variant::PICKS;
-pub(crate) use variant::TRACE;
+pub(crate) use variant::{PATH, TRACE};
 pub(crate) use variant::{QUEUE_CAPACITY, Surroundings, WORKGROUP_SIZE, shader_defs};
 pub use view::View;
 

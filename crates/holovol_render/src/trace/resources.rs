@@ -3,15 +3,14 @@
 use std::num::NonZero;
 use std::ops::Range;
 
-use wgpu::BufferUsages as Usage;
+use wgpu::{BufferUsages as Usage, TextureFormat as Format, TextureViewDimension as Dimension};
 
 use super::environment::GpuEnvironment;
 use super::uniforms::{DispatchUniform, MAX_VIEWS, SceneUniform, ViewUniform, transfer_points};
 use super::variant::{QUEUE_CAPACITY, SAVED_PATH_VECTORS};
 use super::{GpuCounters, Interpolation, Medium, TraceOptions};
 use crate::layout::{
-    storage, texture_2d, texture_2d_array, texture_2d_array_uint, texture_2d_uint, texture_3d,
-    uniform,
+    majorants, storage, texels, texture_2d_array, texture_2d_array_uint, texture_3d, uniform,
 };
 use crate::{Gpu, GpuVolume, MajorantGrid, RenderError};
 
@@ -218,11 +217,11 @@ pub(crate) fn layout(
             texture_3d(filtered)
         },
         wgpu::BindingType::Sampler(sampler),
-        texture_3d(false),
+        majorants(),
         storage(true),
         storage(true),
-        texture_2d(false),
-        texture_2d_uint(),
+        texels(Format::Rgba32Float, Dimension::D2),
+        texels(Format::Rg32Uint, Dimension::D2),
         storage(false),
         storage(false),
         storage(true),

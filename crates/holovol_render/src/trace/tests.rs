@@ -124,13 +124,12 @@ fn saved_paths_fill_their_slots() {
     // The last fixed word written is just before those of the picks.
     let last = format!("words[{}]", SAVED_PATH_VECTORS - 1);
     assert_eq!(
-        TRACE.source.matches(&last).count(),
+        PATH.source.matches(&last).count(),
         2,
         "written and read once"
     );
     assert!(
-        TRACE
-            .source
+        PATH.source
             .contains(&format!("words[{SAVED_PATH_VECTORS}u + k]"))
     );
 }

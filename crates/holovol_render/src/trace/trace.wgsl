@@ -1,5 +1,5 @@
 // The volume path tracer. Each invocation makes the samples of one pixel, one after the other, in
-// one loop whose round is a step of a walk: so lanes of a subgroup stay busy though their paths
+// one loop whose round is a few steps of a walk: so lanes of a subgroup stay busy though their paths
 // differ, and a path can be saved after any round and go on in the next dispatch.
 //
 // A flight goes on through the volume after its tentative collisions, weighs each by the
@@ -7,9 +7,9 @@
 // expectation instead of a coin toss (Novak et al. 2014, ratio tracking).
 
 #import holovol_render::bindings::{
-    scene, views, dispatch, accumulators, counters, guides, resumed, saved, SavedPath,
-    mesh_depth_texture, shares_texture,
+    scene, views, dispatch, accumulators, counters, guides, mesh_depth_texture, shares_texture,
 }
+#import holovol_render::path::{Path, save_path, restore_path}
 #import holovol_render::random::{pcg3d, sobol_pair, unit_float, unit_float_pair, unit_float_triple}
 #import holovol_render::field::{field_at, field_gradient}
 #import holovol_render::transfer_function::{
@@ -18,8 +18,8 @@
 #import holovol_render::surface::{Surface, scatter_eval, scatter_pdf, scatter_sample}
 #import holovol_render::scattering::choose_light
 #import holovol_render::walk::{
-    Walk, walk_start, walk_advance, walk_deepen, walk_distance, walk_next, walk_majorant,
-    WALK_COLLISION, WALK_LEFT, NEVER, load_occupied, walk_cells_entered,
+    Walk, walk_start, walk_advance, walk_deepen, walk_distance, WALK_COLLISION, WALK_LEFT, NEVER,
+    load_occupied, walk_cells_entered,
 }
 
 // What a lane does next.
@@ -31,18 +31,20 @@ const STAGE_BOUNCE: u32 = 4u;
 const STAGE_FINISH: u32 = 5u;
 
 // Below this transmittance a walk lives on by chance.
-const ROULETTE_TRANSMITTANCE: f32 = 0.1;
+const ROULETTE_TRANSMITTANCE: f32 = 0.2;
+// 2^32 / golden ratio: multiples of it spread well.
+const GOLDEN_STEP: u32 = 0x9e3779b9u;
 // 2^-12: what f32 can take off a transmittance again and again without rounding that tells.
 const SMALLEST_WEIGHT: f32 = 0.000244140625;
 // Until then all roundings together stay below 1e-4.
 const MANY_COLLISIONS: u32 = 1024u;
 // Collisions of the camera's flight that are lit.
 const PICKS: u32 = #{PICKS}u;
-// A saved path keeps its pick in the bits below.
-const VIEW_SHIFT: u32 = 8u;
 // Pixels along a side of a block that shares its samples.
 const SHARE_BLOCK: u32 = #{SHARE_BLOCK}u;
 const FOLD_SAMPLES: u32 = #{FOLD_SAMPLES}u;
+// Steps of a walk before lanes ask again who waits: asking costs about as much as half a step.
+const WALKS_PER_ROUND: u32 = 4u;
 // Well-spread dimensions: pixel position, first collision, and from here two for each scattering.
 const DIMENSION_PIXEL: u32 = 0u;
 const DIMENSION_FLIGHT: u32 = 1u;
@@ -50,35 +52,6 @@ const DIMENSION_LIGHT: u32 = 2u;
 // Streams of plain random numbers, by the key's last word.
 const STREAM_SCATTER: u32 = 0x40000000u;
 const STREAM_STRIDE: u32 = 16u;
-
-struct Path {
-    stage: u32,
-    view: u32,
-    // In its view.
-    pixel: u32,
-    sample: u32,
-    sample_end: u32,
-    // Scatterings so far, and plain random numbers used so far.
-    depth: u32,
-    counter: u32,
-    key: vec2<u32>,
-    walk: Walk,
-    transmittance: f32,
-    // Flight: total weight of its tentative collisions, those chosen, and the numbers that choose.
-    weight_sum: f32,
-    chosen_distance: array<f32, PICKS>,
-    chosen_s: array<f32, PICKS>,
-    xi: array<f32, PICKS>,
-    // Which of the chosen is being lit.
-    pick: u32,
-    flight_origin: vec3<f32>,
-    wo: vec3<f32>,
-    next_wi: vec3<f32>,
-    throughput: vec3<f32>,
-    light: vec3<f32>,
-    radiance: vec3<f32>,
-    opacity: f32,
-}
 
 fn path_random(path: ptr<function, Path>) -> vec3<f32> {
     let bits = pcg3d(vec3<u32>((*path).key, (*path).counter));
@@ -90,13 +63,26 @@ fn path_key(view: u32, pixel: u32, sample: u32) -> vec2<u32> {
     return pcg3d(vec3<u32>(pixel, sample, views[view].image.w)).xy;
 }
 
+// Of each pixel, view and dimension.
+fn well_spread_seeds(path: Path, dimension: u32) -> vec3<u32> {
+    return pcg3d(vec3<u32>(path.pixel, views[path.view].image.w ^ 0x85ebca6bu, dimension));
+}
+
 fn well_spread(path: Path, index: u32, dimension: u32) -> vec2<f32> {
-    let view_seed = views[path.view].image.w;
 #if WHITE_NOISE == 1
+    let view_seed = views[path.view].image.w;
     return unit_float_pair(pcg3d(vec3<u32>(path.pixel, index, view_seed ^ (0x85ebca6bu * (dimension + 1u)))).xy);
 #else
-    let seed = pcg3d(vec3<u32>(path.pixel, view_seed ^ 0x85ebca6bu, dimension)).x;
-    return sobol_pair(index, seed);
+    return sobol_pair(index, well_spread_seeds(path, dimension).x);
+#endif
+}
+
+// One more number beside those two: a rotated lattice, by another seed.
+fn well_spread_third(path: ptr<function, Path>, index: u32, dimension: u32) -> f32 {
+#if WHITE_NOISE == 1
+    return path_random(path).x;
+#else
+    return unit_float(well_spread_seeds(*path, dimension).y + GOLDEN_STEP * index);
 #endif
 }
 
@@ -297,7 +283,8 @@ fn scatter(path: ptr<function, Path>) {
     let stream = STREAM_SCATTER + STREAM_STRIDE * (PICKS * (*path).depth + pick);
     let picks = picks_at((*path).depth);
     let dimension = DIMENSION_LIGHT + 2u * (*path).depth;
-    let first = well_spread(*path, picks * (*path).sample + pick, dimension);
+    let index = picks * (*path).sample + pick;
+    let first = well_spread(*path, index, dimension);
     let choice = choose_light(g, surface, (*path).wo, first, vec3<u32>((*path).key, stream));
     (*path).light = throughput * choice.weight / f32(picks);
     (*path).walk.origin = texel;
@@ -323,7 +310,7 @@ fn scatter(path: ptr<function, Path>) {
     }
     // Not "> 0": what is not a number must reach the check of the finished sample.
     if any((*path).light != vec3<f32>(0.0)) {
-        let tau = optical_depth_draw(path_random(path).x);
+        let tau = optical_depth_draw(well_spread_third(path, index, dimension));
         begin_walk(path, STAGE_SHADOW, walk_start(texel, texel_from_world(choice.wi), 0.0, tau));
         if (*path).walk.t_end <= (*path).walk.t_cell {
             (*path).radiance += (*path).light;
@@ -427,74 +414,6 @@ fn walk_round(path: ptr<function, Path>, lookups: ptr<function, u32>) {
     }
 }
 
-fn save_path(path: Path, slot: u32) {
-    let walk = path.walk;
-    saved[slot].words[0] = vec4<u32>(path.stage, path.pixel, path.sample, path.sample_end);
-    saved[slot].words[1] = vec4<u32>(path.depth, path.counter, path.key);
-    saved[slot].words[2] = bitcast<vec4<u32>>(vec4<f32>(walk.origin, walk.t_cell));
-    saved[slot].words[3] = bitcast<vec4<u32>>(vec4<f32>(walk.direction, walk.tau));
-    saved[slot].words[4] = vec4<u32>(
-        bitcast<vec3<u32>>(walk.cell), path.pick | path.view << VIEW_SHIFT,
-    );
-    saved[slot].words[5] = bitcast<vec4<u32>>(
-        vec4<f32>(path.transmittance, path.weight_sum, walk.t_end, 0.0),
-    );
-    saved[slot].words[6] = bitcast<vec4<u32>>(vec4<f32>(path.wo, path.opacity));
-    saved[slot].words[7] = bitcast<vec4<u32>>(vec4<f32>(path.next_wi, 0.0));
-    saved[slot].words[8] = bitcast<vec4<u32>>(vec4<f32>(path.throughput, 0.0));
-    saved[slot].words[9] = bitcast<vec4<u32>>(vec4<f32>(path.light, 0.0));
-    saved[slot].words[10] = bitcast<vec4<u32>>(vec4<f32>(path.radiance, 0.0));
-    saved[slot].words[11] = bitcast<vec4<u32>>(vec4<f32>(path.flight_origin, 0.0));
-    for (var k = 0u; k < PICKS; k += 1u) {
-        saved[slot].words[12u + k] = bitcast<vec4<u32>>(
-            vec4<f32>(path.chosen_distance[k], path.chosen_s[k], path.xi[k], 0.0),
-        );
-    }
-}
-
-fn restore_path(slot: u32) -> Path {
-    var path: Path;
-    let w0 = resumed[slot].words[0];
-    let w1 = resumed[slot].words[1];
-    let w2 = bitcast<vec4<f32>>(resumed[slot].words[2]);
-    let w3 = bitcast<vec4<f32>>(resumed[slot].words[3]);
-    let w4 = resumed[slot].words[4];
-    let w5 = bitcast<vec4<f32>>(resumed[slot].words[5]);
-    path.stage = w0.x;
-    path.pixel = w0.y;
-    path.sample = w0.z;
-    path.sample_end = w0.w;
-    path.depth = w1.x;
-    path.counter = w1.y;
-    path.key = w1.zw;
-    path.walk = walk_start(w2.xyz, w3.xyz, 0.0, w3.w);
-    path.walk.t_cell = w2.w;
-    path.walk.cell = bitcast<vec3<i32>>(w4.xyz);
-    path.walk.t_next = walk_next(path.walk);
-    path.walk.sigma_maj = walk_majorant(path.walk.cell);
-    path.pick = w4.w & ((1u << VIEW_SHIFT) - 1u);
-    path.view = w4.w >> VIEW_SHIFT;
-    // A mesh may have ended it before the volume does.
-    path.walk.t_end = w5.z;
-    path.transmittance = w5.x;
-    path.weight_sum = w5.y;
-    let w6 = bitcast<vec4<f32>>(resumed[slot].words[6]);
-    path.wo = w6.xyz;
-    path.opacity = w6.w;
-    path.next_wi = bitcast<vec4<f32>>(resumed[slot].words[7]).xyz;
-    path.throughput = bitcast<vec4<f32>>(resumed[slot].words[8]).xyz;
-    path.light = bitcast<vec4<f32>>(resumed[slot].words[9]).xyz;
-    path.radiance = bitcast<vec4<f32>>(resumed[slot].words[10]).xyz;
-    path.flight_origin = bitcast<vec4<f32>>(resumed[slot].words[11]).xyz;
-    for (var k = 0u; k < PICKS; k += 1u) {
-        let chosen = bitcast<vec4<f32>>(resumed[slot].words[12u + k]);
-        path.chosen_distance[k] = chosen.x;
-        path.chosen_s[k] = chosen.y;
-        path.xi[k] = chosen.z;
-    }
-    return path;
-}
-
 #if SUBGROUPS == 1
 fn count_lanes(ballot: vec4<u32>) -> u32 {
     let counts = countOneBits(ballot);
@@ -508,6 +427,7 @@ fn run(initial: Path) {
     var lookups = 0u;
     let is_unlimited = atomicLoad(&counters.unlimited) != 0u;
     var budget = select(dispatch.budget, 0xffffffffu, is_unlimited);
+    // Counted in steps of walks.
     var round = 0u;
     loop {
         if path.stage == STAGE_START && path.sample >= path.sample_end {
@@ -523,7 +443,7 @@ fn run(initial: Path) {
             // No room: going on here is slow, but right.
             budget += dispatch.budget;
         }
-        round += 1u;
+        round += WALKS_PER_ROUND;
         var served = !walking;
 #if SUBGROUPS == 1
         // Scattering costs much: lanes wait until there are enough of them.
@@ -545,8 +465,10 @@ fn run(initial: Path) {
                 start_sample(&path);
             }
         }
-        if path.stage == STAGE_FLIGHT || path.stage == STAGE_SHADOW {
-            walk_round(&path, &lookups);
+        for (var i = 0u; i < WALKS_PER_ROUND; i += 1u) {
+            if path.stage == STAGE_FLIGHT || path.stage == STAGE_SHADOW {
+                walk_round(&path, &lookups);
+            }
         }
     }
 #if STATISTICS == 1

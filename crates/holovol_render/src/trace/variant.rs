@@ -6,6 +6,7 @@ use crate::Gpu;
 use crate::shader::{ShaderDefs, ShaderFile, shader_file};
 
 pub(crate) const TRACE: ShaderFile = shader_file!("trace.wgsl");
+pub(crate) const PATH: ShaderFile = shader_file!("path.wgsl");
 
 pub(crate) const WORKGROUP_SIZE: u32 = 64;
 /// Samples in the first of a pixel's two sums; f32 keeps 1024 addends to better than 1e-4.
@@ -88,6 +89,7 @@ pub(crate) fn shader_defs(
         ),
         ("ENVIRONMENT_CANDIDATES", environment),
         ("SCATTER_CANDIDATES", scatter),
+        ("LIGHT_BANDS", holovol_light::LIGHT_BANDS as u32),
         ("SLICES", u32::from(surroundings.slices)),
         ("MESH_DEPTH", u32::from(surroundings.mesh_depth)),
         ("SAMPLE_SHARES", u32::from(surroundings.sample_shares)),

@@ -10,7 +10,7 @@ use std::collections::HashMap;
 use bytemuck::{Pod, Zeroable};
 use glam::DMat4;
 
-use crate::layout::{storage, texture_2d_array, texture_3d, uniform};
+use crate::layout::{majorants, storage, texture_2d_array, texture_3d, uniform};
 use crate::shader::{ShaderDefs, ShaderFile, compose, shader_file};
 use crate::trace::shader_defs;
 use crate::{FrameTracer, Gpu, Interpolation, Medium, RenderError};
@@ -362,7 +362,7 @@ impl VolumeVariant {
             (0, uniform()),
             (2, field),
             (3, wgpu::BindingType::Sampler(sampler)),
-            (4, texture_3d(false)),
+            (4, majorants()),
             (5, storage(true)),
             (6, storage(true)),
             (14, uniform()),

@@ -220,7 +220,7 @@ pub fn light_inputs(stream: u32) -> Vec<Lane> {
         let wi = direction(i, 33);
         [
             vec4(Vec3::from(numbers(i, 32)), bits),
-            vec4(wi, 0.0),
+            vec4(wi, numbers(i, 34)[0]),
             [0.0; 4],
             [0.0; 4],
         ]
@@ -242,7 +242,7 @@ pub fn environment(gpu: &Gpu) -> Result<(), String> {
         let mut strays = Vec::new();
         for (i, (input, out)) in inputs.iter().zip(&outputs).enumerate() {
             let [x, y, z, bits] = input[0];
-            let drawn = light.sample(bits.to_bits(), [x, y, z]);
+            let drawn = light.sample(bits.to_bits(), input[1][3], [x, y, z]);
             close3(
                 "drawn direction",
                 i,

@@ -55,6 +55,7 @@ const FIELD: &str = "shared/field.wgsl";
 const WALK: &str = "shared/walk.wgsl";
 const MAJORANT: &str = "majorant.wgsl";
 const TRACE: &str = "trace.wgsl";
+const PATH: &str = "path.wgsl";
 
 const DENOISE: &str = "holovol/holovol.wgsl";
 const GUIDE_KEYS: &str = "denoise/common.wgsl";
@@ -306,6 +307,18 @@ pub const MUTATIONS: &[Caught] = &[
     ),
     caught(
         LIGHT,
+        "f32(band.x) * band_rows + band_row",
+        "f32(band.x) * band_rows",
+        draws::environment,
+    ),
+    caught(
+        LIGHT,
+        "alias_entry.y >> 16u",
+        "alias_entry.y >> 17u",
+        draws::environment,
+    ),
+    caught(
+        LIGHT,
         "xi.x >= bitcast",
         "xi.x < bitcast",
         draws::environment,
@@ -397,7 +410,7 @@ pub const MUTATIONS: &[Caught] = &[
         grids::empty_cells,
     ),
     caught(
-        TRACE,
+        PATH,
         "path.counter = w1.y",
         "path.counter = 0u",
         determinism::same_bits,
