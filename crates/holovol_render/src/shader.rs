@@ -41,6 +41,7 @@ pub(crate) const SHARED: &[ShaderFile] = &[
     shader_file!("shared/walk.wgsl"),
     shader_file!("shared/scattering.wgsl"),
     shader_file!("denoise/common.wgsl"),
+    shader_file!("denoise/holovol/between.wgsl"),
 ];
 
 #[cfg(any(test, feature = "testing"))]
