@@ -57,6 +57,7 @@ const MAJORANT: &str = "majorant.wgsl";
 const TRACE: &str = "trace.wgsl";
 
 const DENOISE: &str = "holovol/holovol.wgsl";
+const BETWEEN: &str = "holovol/between.wgsl";
 const GUIDE_KEYS: &str = "denoise/common.wgsl";
 const PAPER: &str = "paper/paper.wgsl";
 const MARCH: &str = "guides/guides.wgsl";
@@ -168,6 +169,30 @@ pub const MUTATIONS: &[Caught] = &[
         DENOISE,
         "vec4<f32>(gain * explained, 0.0)",
         "vec4<f32>(0.0)",
+        denoise_twins::holovol,
+    ),
+    caught(
+        BETWEEN,
+        "marched | marched << 1u | marched >> 1u",
+        "marched | marched >> 1u",
+        denoise_twins::holovol,
+    ),
+    caught(
+        BETWEEN,
+        "words.x | BETWEEN",
+        "words.x",
+        denoise_twins::holovol,
+    ),
+    caught(
+        BETWEEN,
+        "for (var once = is_marched(words.x); once",
+        "for (var once = is_marched(words.x) && words.x == 0u; once",
+        denoise_sun::pixels_beside_silhouettes_have_a_history,
+    ),
+    caught(
+        DENOISE,
+        "select(COVERAGE_BIAS, 0.0, is_covered)",
+        "select(0.0, COVERAGE_BIAS, is_covered)",
         denoise_twins::holovol,
     ),
     caught(
