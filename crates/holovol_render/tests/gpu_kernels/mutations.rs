@@ -57,7 +57,7 @@ const MAJORANT: &str = "majorant.wgsl";
 const TRACE: &str = "trace.wgsl";
 
 const DENOISE: &str = "holovol/holovol.wgsl";
-const BETWEEN: &str = "holovol/between.wgsl";
+const BETWEEN: &str = "denoise/holovol/between.wgsl";
 const GUIDE_KEYS: &str = "denoise/common.wgsl";
 const PAPER: &str = "paper/paper.wgsl";
 const MARCH: &str = "guides/guides.wgsl";
