@@ -184,9 +184,9 @@ pub const MUTATIONS: &[Caught] = &[
         denoise_twins::holovol,
     ),
     caught(
-        BETWEEN,
-        "for (var once = is_marched(words.x); once",
-        "for (var once = is_marched(words.x) && words.x == 0u; once",
+        DENOISE,
+        "let wanted = uncovered(eye, row, end);",
+        "let wanted = 0u * uncovered(eye, row, end);",
         denoise_sun::pixels_beside_silhouettes_have_a_history,
     ),
     caught(
