@@ -42,6 +42,7 @@ pub(crate) const SHARED: &[ShaderFile] = &[
     shader_file!("shared/scattering.wgsl"),
     crate::trace::PATH,
     shader_file!("denoise/common.wgsl"),
+    shader_file!("denoise/holovol/between.wgsl"),
 ];
 
 #[cfg(any(test, feature = "testing"))]

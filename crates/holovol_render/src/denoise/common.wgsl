@@ -109,6 +109,13 @@ struct Key {
 // Of what was met; halves smaller than this lose digits.
 const LEAST_ALBEDO: f32 = 1e-4;
 
+// In the first word, as the sign of light: no ray of the march made this guide, those around did.
+const BETWEEN: u32 = 0x80000000u;
+
+fn is_marched(first_word: u32) -> bool {
+    return (first_word & 0xffffu) != 0u && (first_word & BETWEEN) == 0u;
+}
+
 fn is_met(words: vec4<u32>) -> bool {
     return (words.x & 0xffffu) != 0u;
 }
@@ -143,7 +150,7 @@ fn unpack_key(words: vec4<u32>) -> Key {
     let first = unpack2x16float(words.x);
     let pair = unpack2x16float(words.w);
     let depth = bitcast<f32>(words.z);
-    return Key(first.x, unpack_normal(words.y), depth, depth * pair.x, pair.y, first.y);
+    return Key(first.x, unpack_normal(words.y), depth, depth * pair.x, pair.y, abs(first.y));
 }
 
 fn with_frames(words: vec4<u32>, frames: f32) -> vec4<u32> {
@@ -160,6 +167,10 @@ fn guide_distance(a: Key, b: Key, pixel_size: f32) -> f32 {
     return denoise.bias.y * (1.0 - dot(a.normal, b.normal))
         + denoise.bias.z * min(depth * depth, 50.0)
         + denoise.bias.w * 4.0 * opacity * opacity / (sum * sum + 1e-4);
+}
+
+fn direction_of(v: vec3<f32>) -> vec3<f32> {
+    return v * inverseSqrt(max(dot(v, v), 1e-30));
 }
 
 fn is_finite(x: f32) -> bool {

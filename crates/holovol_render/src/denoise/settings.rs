@@ -98,7 +98,7 @@ impl Default for DenoiseSettings {
             near_bias: 4.0,
             sun_bias: 1.0,
             sun_share: 0.2,
-            eye_bias: 0.003,
+            eye_bias: 0.012,
             strictness: [30.0, 60.0],
             turn_strictness: 95.0,
             first_variance: 0.1,

@@ -101,6 +101,10 @@ const CHECKS: &[(&str, Check)] = &[
         denoise_sun::shadows_stay_sharp,
     ),
     (
+        "denoiser_gives_pixels_beside_silhouettes_a_history",
+        denoise_sun::pixels_beside_silhouettes_have_a_history,
+    ),
+    (
         "denoiser_notices_another_sun",
         denoise_sun::another_sun_is_another_frame,
     ),

@@ -58,6 +58,7 @@ const TRACE: &str = "trace.wgsl";
 const PATH: &str = "path.wgsl";
 
 const DENOISE: &str = "holovol/holovol.wgsl";
+const BETWEEN: &str = "denoise/holovol/between.wgsl";
 const GUIDE_KEYS: &str = "denoise/common.wgsl";
 const PAPER: &str = "paper/paper.wgsl";
 const MARCH: &str = "guides/guides.wgsl";
@@ -169,6 +170,30 @@ pub const MUTATIONS: &[Caught] = &[
         DENOISE,
         "vec4<f32>(gain * explained, 0.0)",
         "vec4<f32>(0.0)",
+        denoise_twins::holovol,
+    ),
+    caught(
+        BETWEEN,
+        "marched | marched << 1u | marched >> 1u",
+        "marched | marched >> 1u",
+        denoise_twins::holovol,
+    ),
+    caught(
+        BETWEEN,
+        "words.x | BETWEEN",
+        "words.x",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "let wanted = uncovered(eye, row, end);",
+        "let wanted = 0u * uncovered(eye, row, end);",
+        denoise_sun::pixels_beside_silhouettes_have_a_history,
+    ),
+    caught(
+        DENOISE,
+        "select(COVERAGE_BIAS, 0.0, is_covered)",
+        "select(0.0, COVERAGE_BIAS, is_covered)",
         denoise_twins::holovol,
     ),
     caught(

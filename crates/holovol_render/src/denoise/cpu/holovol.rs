@@ -3,7 +3,8 @@
 use glam::{IVec2, UVec2, Vec2, Vec3, Vec4};
 
 use super::{
-    ALBEDO_FLOOR, Key, LARGEST, Memory, SAMPLES_PER_FRAME, mean_rgb, project, with_frames,
+    ALBEDO_FLOOR, BETWEEN, Key, LARGEST, Memory, SAMPLES_PER_FRAME, is_marched, mean_rgb, project,
+    with_frames,
 };
 use crate::denoise::uniforms::History;
 use crate::denoise::{FADE_FRAMES, TILE};
@@ -19,6 +20,7 @@ const MOST_STRICT: f32 = 8.0;
 const EDIT: [f32; 2] = [0.05, 0.5];
 const PAIR: u32 = 2;
 const SLOPE_PRIOR: f32 = 0.1;
+const COVERAGE_BIAS: f32 = 0.7;
 
 #[derive(Clone, Copy, Default)]
 struct Fetched {
@@ -190,6 +192,12 @@ impl Memory {
         let rows = self.tile_rows(0)..self.tile_rows(4);
         self.tiles[rows].fill(Vec4::ZERO);
         self.each_pixel(|m, eye, position, pixel| {
+            let is_missed = m.keys[m.now() + pixel][0] & 0xffff == 0;
+            if is_missed && m.history(eye) != History::Same as u32 {
+                m.guide_between(eye, position, pixel);
+            }
+        });
+        self.each_pixel(|m, eye, position, pixel| {
             let before = m.history_of(eye, position, pixel);
             let (scratch, both) = (m.scratch(pixel), m.both(pixel));
             m.state[scratch] = before.light;
@@ -236,7 +244,8 @@ impl Memory {
         let [a, b] = [position, there].map(|at| self.pixel(eye, at.x, at.y));
         let [key_a, key_b] = [a, b].map(|pixel| self.key(self.now() + pixel));
         let expected = key_a.light - key_b.light;
-        if key_a.albedo <= 0.0 || key_b.albedo <= 0.0 {
+        let are_marched = [a, b].map(|pixel| is_marched(self.keys[self.now() + pixel]));
+        if are_marched != [true; 2] {
             return Vec4::ZERO;
         }
         match [a, b].map(|pixel| self.new_light(eye, pixel)) {
@@ -485,8 +494,15 @@ impl Memory {
                 let offset = (IVec2::new(x, y) - middle).as_vec2();
                 let change = gain * (key.light - there.light);
                 let explained = mean_rgb(change);
-                let bias = self.guide_distance(key, there, self.pixel_size(eye))
+                let is_between = |at: usize| self.keys[self.both(at)][0] & BETWEEN != 0;
+                let coverage = if is_between(pixel) || is_between(at) {
+                    COVERAGE_BIAS
+                } else {
+                    0.0
+                };
+                let bias = coverage
                     + self.uniform.bias[0] * offset.length_squared()
+                    + self.guide_distance(key, there, self.pixel_size(eye))
                     + self.light_distance(guide, self.counts[self.both(at)], explained, noise)
                     + self.near_distance(near, self.state[self.near_place(at)], explained, noise);
                 let fits = 1.0 / (1.0 + bias * there.frames * narrower);

@@ -1,5 +1,6 @@
 //! CPU twins of the denoiser's passes: f32, same order, on the same buffers.
 
+mod between;
 mod holovol;
 mod paper;
 
@@ -17,6 +18,9 @@ use crate::{Gpu, RenderError, View};
 const ALBEDO_FLOOR: f32 = 0.5;
 const LARGEST: f32 = 1e15;
 const SAMPLES_PER_FRAME: f32 = 2.0;
+
+/// In the first word of a key, as the sign of light: see common.wgsl.
+const BETWEEN: u32 = 1 << 31;
 
 /// What happened to the eyes since the last frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -107,7 +111,7 @@ impl Key {
         let depth = f32::from_bits(words[2]);
         Self {
             albedo,
-            light,
+            light: light.abs(),
             normal: unpack_normal(words[1]),
             depth,
             spread: depth * spread,
@@ -123,6 +127,11 @@ impl Key {
             ..self
         }
     }
+}
+
+/// Whether a ray of the march made this guide.
+fn is_marched(words: [u32; 4]) -> bool {
+    words[0] & 0xffff != 0 && words[0] & BETWEEN == 0
 }
 
 fn with_frames(words: [u32; 4], frames: f32) -> [u32; 4] {
@@ -325,7 +334,12 @@ impl Memory {
                 depth: 2.0 + 0.05 * four.y,
                 spread: 0.05 * four.z,
                 frames: if four.w < 0.1 { 0.0 } else { 30.0 * four.w },
-                light: 0.5 + 0.5 * normal.z,
+                // Some are between others' in the last frame.
+                light: if normal.w < -0.8 {
+                    -0.3
+                } else {
+                    0.5 + 0.5 * normal.z
+                },
             }
             .pack()
         };
@@ -476,7 +490,10 @@ impl Memory {
     fn words(&self) -> Vec<f32> {
         let of = |words: &[u32; 4]| {
             let key = Key::unpack(*words);
-            [key.albedo, key.depth, key.spread, key.frames, key.light]
+            let is_between = f32::from(words[0] & BETWEEN != 0);
+            let Vec3 { x, y, z } = key.normal;
+            let rest = [key.frames, key.light, is_between];
+            [[key.albedo, key.depth, key.spread], [x, y, z], rest].concat()
         };
         self.keys.iter().flat_map(of).collect()
     }

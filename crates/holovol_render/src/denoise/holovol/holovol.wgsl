@@ -3,9 +3,10 @@
 #import holovol_render::denoise::common::{
     denoise, state, lights, keys, counts, tiles, noisy, output, Key, unpack_key, with_frames, is_met,
     guide_distance, half_now, half_before, albedo_at, scratch_at, near_at, both_at, tile_at, tile_sums,
-    tile_memory, tile_result, tile_rows, mean_rgb, all_finite, HISTORY_MOVED, HISTORY_SAME,
-    HISTORY_NONE, ALBEDO_FLOOR, LARGEST, TILE, SAMPLES_PER_FRAME,
+    tile_memory, tile_result, tile_rows, mean_rgb, all_finite, is_marched, direction_of, HISTORY_MOVED,
+    HISTORY_SAME, HISTORY_NONE, ALBEDO_FLOOR, LARGEST, TILE, SAMPLES_PER_FRAME, BETWEEN,
 }
+#import holovol_render::denoise::between::{uncovered, guide_between}
 
 // Weights of history and of the other eye below this are nothing.
 const NO_WEIGHT: f32 = 0.02;
@@ -29,6 +30,9 @@ const EDIT: vec2<f32> = vec2<f32>(0.05, 0.5);
 // squared expectations a tile needs to be believed by half.
 const PAIR: u32 = 2u;
 const SLOPE_PRIOR: f32 = 0.1;
+// Squared and relative, of pixels whose middle the medium misses: it covers anything from nothing to
+// half of them, a relative variance of a third for each of two.
+const COVERAGE_BIAS: f32 = 0.7;
 // Pixels to each side that the last pass filters over.
 const RADIUS: i32 = #{RADIUS};
 // In place of an opacity: a sample was not finite.
@@ -122,10 +126,6 @@ fn new_light(eye: u32, pixel: u32, guide: vec4<f32>) -> vec4<f32> {
     return vec4<f32>(light, mean.a - guide.a);
 }
 
-fn direction_of(v: vec3<f32>) -> vec3<f32> {
-    return v * inverseSqrt(max(dot(v, v), 1e-30));
-}
-
 // Frames that this frame counts for.
 fn worth_of(eye: u32) -> f32 {
     return f32(max(denoise.eyes[eye].frame.x, 1u)) / SAMPLES_PER_FRAME;
@@ -144,6 +144,15 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     }
     var sums = array<vec4<f32>, 4>(vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0));
     let end = select(min(TILE * (row.x + 1u), size.x), 0u, row.y >= size.y);
+    // Guides of a view at rest are the last frame's.
+    for (var once = end > 0u && denoise.eyes[eye].frame.y != HISTORY_SAME; once; once = false) {
+        let wanted = uncovered(eye, row, end);
+        for (var x = TILE * row.x; x < end && wanted != 0u; x += 1u) {
+            for (var edge = (wanted >> (x - TILE * row.x) & 1u) != 0u; edge; edge = false) {
+                guide_between(eye, vec2<u32>(x, row.y));
+            }
+        }
+    }
     for (var x = TILE * row.x; x < end; x += 1u) {
         let position = vec2<u32>(x, row.y);
         let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
@@ -193,7 +202,8 @@ fn light_slope(eye: u32, position: vec2<u32>) -> vec4<f32> {
         let words_a = keys[half_now() + a];
         let words_b = keys[half_now() + b];
         let expected = unpack2x16float(words_a.x).y - unpack2x16float(words_b.x).y;
-        for (var both = is_met(words_a) && is_met(words_b) && expected != 0.0; both; both = false) {
+        let are_marched = is_marched(words_a.x) && is_marched(words_b.x);
+        for (var both = are_marched && expected != 0.0; both; both = false) {
             let light_a = new_light(eye, a, lights[albedo_at(a)]);
             let light_b = new_light(eye, b, lights[albedo_at(b)]);
             if light_a.a > NOT_FINITE && light_b.a > NOT_FINITE {
@@ -506,12 +516,15 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
             let right = min(high.x, i32(position.x) + reach);
             for (var x = left; x <= right; x += 1) {
                 let at = first + u32(x) + size.x * u32(y);
-                let there = unpack_key(keys[both_at(at)]);
+                let words_there = keys[both_at(at)];
+                let there = unpack_key(words_there);
+                let is_covered = ((words.x | words_there.x) & BETWEEN) == 0u;
                 let offset = vec2<f32>(vec2<i32>(x, y) - vec2<i32>(position));
                 let r2 = dot(offset, offset);
                 // What the dominant source explains of the difference.
                 let explained = key.light - there.light;
-                let bias = guide_distance(key, there, pixel_size) + denoise.bias.x * r2
+                let bias = select(COVERAGE_BIAS, 0.0, is_covered) + denoise.bias.x * r2
+                    + guide_distance(key, there, pixel_size)
                     + light_distance(guide, counts[both_at(at)], mean_gain * explained, tile.y)
                     + near_distance(near, lights[near_at(at)], mean_gain * explained, tile.y);
                 let fits = 1.0 / (1.0 + bias * there.frames * narrower);
