@@ -41,6 +41,9 @@ pub(super) const NEAR: f32 = 0.8;
 /// this share of a texel all around a small one.
 const SHARPEST: f64 = 0.005;
 const BLUR: f64 = 0.02;
+/// A bright point is blurred to a peak, of which a core of few texels is the tip: were it higher, it
+/// would be wider. Of a Gaussian of 0.85 texels the area above L is PEAK · ln(peak/L).
+const PEAK: f64 = 4.5;
 /// What looks cut out is further above clipping than an exponential has it: the logarithm of gains
 /// over that of what edges say has a slope of 1.1 to 1.3 (of 1.55 in one of six fits) whichever
 /// room is left out.
@@ -60,7 +63,8 @@ pub(super) fn edge_gain(near: f64, core: f64, texel: f64) -> f64 {
     // A disc's circumference over its area, in texels.
     let around = 2.0 * (PI * texel / core).sqrt();
     let sharpest = SHARPEST + (1.0 + BLUR * around).log2();
-    let growth = (near / core).log2().max(0.0) + sharpest;
+    let tip = 1.0 - PEAK * f64::from(NEAR).ln() * texel / core;
+    let growth = (near / core).max(tip).log2() + sharpest;
     let gain = (1.0 + (1.0 - f64::from(NEAR)) / (growth * LN_2)).log2();
     gain.powf(TAIL)
 }
@@ -124,8 +128,9 @@ mod tests {
         assert!((gain(0.1 * exponential(1.0), 0.1) - 1.0).abs() < 0.1);
         assert!(gain(0.1 * exponential(0.25), 0.1) < 0.4);
         assert!(gain(0.1, 0.1) > 4.0 && gain(10.0, 0.1) < 0.1);
-        // A lamp of four texels shows no edge that could be told from a cut.
-        assert!(gain(4.0 * texel, 4.0 * texel) < 0.8 * gain(0.1, 0.1));
+        // A tip of few texels is that of a low peak, though it looks cut out; a large core is not.
+        let cut_out = |texels: f64| gain(texels * texel, texels * texel);
+        assert!(cut_out(2.0) < 0.6 && cut_out(4.0) < 1.0 && cut_out(100.0) > 3.0);
         let prior = Prior::default();
         for core in [1e-6, 1e-3, 1.0, 12.0] {
             let found = prior.gain_of(gain(core, core), gain_limit(1.0));
