@@ -212,8 +212,8 @@ fn assert_whole(width: u32, height: u32, options: &TraceOptions, samples: u32) {
     let mut tracer = tracer(&scene, options);
     tracer.accumulate(samples).expect("samples");
     let image = image(&tracer);
-    // A sample more or less is a third at least; roulette leaves a little noise.
-    let is_whole = |pixel: &[f32; 4]| (pixel[3] - 1.0).abs() < 0.1;
+    // A sample more or less is a third at least; roulette gives seldom ones up to 0.2 more.
+    let is_whole = |pixel: &[f32; 4]| (pixel[3] - 1.0).abs() < 0.25;
     let missing = image
         .pixels()
         .iter()

@@ -166,8 +166,9 @@ pub fn blocks(pixels: &[[f32; 4]], width: usize) -> Vec<[f64; 4]> {
     blocks
 }
 
-/// How far apart in standard deviations at most: a sample is between 0 and `most`, which bounds its
-/// variance by m·(most − m), m its mean.
+/// How far apart in standard deviations at most: a sample is between 0 and 1.2 × `most` (roulette
+/// gives those that live on up to 0.2 more), which bounds its variance by m·(1.2 most − m), m its
+/// mean.
 pub fn greatest_z(
     found: &[[f64; 4]],
     expected: &[[f64; 4]],
@@ -179,7 +180,7 @@ pub fn greatest_z(
     let mut greatest: f64 = 0.0;
     for (found, expected) in found.iter().zip(expected) {
         for c in 0..4 {
-            let variance = (expected[c] * (most[c] - expected[c])).max(0.0);
+            let variance = (expected[c] * (1.2 * most[c] - expected[c])).max(0.0);
             let per_block: f64 = samples.iter().map(|n| 1.0 / f64::from(*n)).sum();
             let sigma = (variance * per_block / 256.0).sqrt();
             greatest = greatest.max((found[c] - expected[c]).abs() / (sigma + ROUNDING));
