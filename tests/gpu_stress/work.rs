@@ -213,11 +213,11 @@ fn assert_whole(width: u32, height: u32, options: &TraceOptions, samples: u32) {
     tracer.accumulate(samples).expect("samples");
     let image = image(&tracer);
     // A sample more or less is a third at least; roulette gives seldom ones up to 0.2 more.
-    let is_whole = |pixel: &[f32; 4]| (pixel[3] - 1.0).abs() < 0.25;
+    let is_whole = |opacity: f32| (opacity - 1.0).abs() < 0.25;
     let missing = image
         .pixels()
         .iter()
-        .filter(|pixel| !is_whole(pixel))
+        .filter(|pixel| !is_whole(pixel[3]))
         .count();
     assert_eq!(
         missing,
@@ -226,6 +226,6 @@ fn assert_whole(width: u32, height: u32, options: &TraceOptions, samples: u32) {
         mean_and_deviation(&image)[3]
     );
     let guides = tracer.read_guides().expect("guides");
-    let is_seen = |guide: &holovol_render::Guide| (guide.opacity - 1.0).abs() < 0.1;
-    assert!(guides.iter().all(is_seen), "{width} × {height}: guides");
+    let seen = guides.iter().all(|guide| is_whole(guide.opacity));
+    assert!(seen, "{width} × {height}: guides");
 }
