@@ -160,8 +160,12 @@ impl ChangeDetector {
     }
 
     /// Keeps the newest frame as what [`Self::since_kept`] compares with.
+    ///
+    /// Before the first frame there is nothing to keep.
     pub fn keep(&mut self) {
-        self.kept = Some(self.newest);
+        if self.floor > 0.0 {
+            self.kept = Some(self.newest);
+        }
     }
 
     /// How far the newest frame's light is from the kept one's, 0 … 1, 1 if none was kept: as T,
@@ -182,6 +186,14 @@ impl ChangeDetector {
         let all = a.all.max(b.all);
         if other == self.newest || all <= 0.0 {
             return Change::default();
+        }
+        if !(a.all + b.all).is_finite() {
+            // Radiance that is infinite or no number is another light.
+            return Change {
+                seen: 1.0,
+                lit: f32::INFINITY,
+                moved: 1.0,
+            };
         }
         let dark = DARK * 0.25 * all;
         let mut brightest = [0.0; SURFACES];

@@ -162,6 +162,20 @@ fn lamps_and_suns_are_large_changes_anywhere() {
 }
 
 #[test]
+fn nothing_is_kept_before_the_first_frame_and_infinite_light_is_a_change() {
+    let grid = Grid::new(WIDTH, HEIGHT);
+    let mut detector = ChangeDetector::new();
+    detector.keep();
+    assert_eq!(detector.since_kept(), 1.0);
+    let mut map = room(1.0, None, None);
+    detector.update(&grid, &map, &[]);
+    detector.keep();
+    map[5000] = [f32::INFINITY; 3];
+    assert_eq!(detector.update(&grid, &map, &[]), 1.0);
+    assert_eq!(detector.since_kept(), 1.0);
+}
+
+#[test]
 fn slow_change_adds_up_against_what_was_kept() {
     let grid = Grid::new(WIDTH, HEIGHT);
     let map = imagined(2, WIDTH, HEIGHT);

@@ -43,7 +43,7 @@ impl Estimator {
         self.tint();
         let sun = self.find_sun();
         let darkened = sun.map_or(1.0, |(_, s)| 1.0 - s * (1.0 - SUNLIT_GAIN));
-        let limit = gain_limit(self.ceiling);
+        let limit = gain_limit(self.reach_of_exposures());
         self.mark_sunlit(sun.map(|(i, _)| i));
         self.order.clear();
         self.strengths.clear();
@@ -75,7 +75,7 @@ impl Estimator {
     /// a peak of few pixels is blunted by compression, and a sun that just fails to clip there
     /// would be a rare one.
     pub(super) fn mark_blunted_sun(&mut self) {
-        let sunny = self.ceiling >= BRACKETED && self.sky.clearness > SUN_FROM;
+        let sunny = self.reach_of_exposures() >= BRACKETED && self.sky.clearness > SUN_FROM;
         if !sunny || self.clipped.contains(&7) {
             return;
         }
@@ -153,7 +153,7 @@ impl Estimator {
             .max_by(|a, b| a.1.core.total_cmp(&b.1.core))?;
         let growth = f64::from(region.halo / region.clipped).log2();
         let glow = smoothstep(GLOW, growth);
-        let bracketed = self.ceiling >= BRACKETED;
+        let bracketed = self.reach_of_exposures() >= BRACKETED;
         let small = if bracketed {
             1.0 - smoothstep(SUN_CORE, f64::from(region.core))
         } else {
@@ -193,7 +193,7 @@ impl Estimator {
         let mut tint: [f64; 3] =
             std::array::from_fn(|c| SUNLIGHT[0][c] + white * (SUNLIGHT[1][c] - SUNLIGHT[0][c]));
         // Seen through a dark exposure, the rim is the sun's own glow and has its colour.
-        if self.ceiling >= BRACKETED && region.rim.iter().all(|&c| c > 0.0) {
+        if self.reach_of_exposures() >= BRACKETED && region.rim.iter().all(|&c| c > 0.0) {
             tint = region.rim.map(f64::from);
         }
         let scale = flux / luminance(tint);

@@ -149,6 +149,8 @@ const MISPLACEMENT: f64 = 0.2;
 const SHARED: f64 = 0.6;
 /// How sure the unclipped part is, EV: response, vignetting, quantisation.
 const BASE_SIGMA: f64 = 0.02;
+/// Share of all light below which a meter sees nothing.
+const UNSEEN: f64 = 1e-3;
 /// Share of a light's misplacement, as it shows over a probe, by which its strength is misread.
 const MISFIT_SHARE: f64 = 0.05;
 
@@ -179,6 +181,8 @@ pub struct Estimator {
     /// Where the last estimate's lights of that kind were.
     resolved: Vec<DVec3>,
     ceiling: f32,
+    /// Where the first frame clips.
+    base: f32,
     sky: Sky,
     rung: Rung,
     sigma_ev: f64,
@@ -204,6 +208,7 @@ impl Estimator {
             above: Vec::new(),
             resolved: Vec::new(),
             ceiling: 1.0,
+            base: 1.0,
             sky: Sky::default(),
             rung: Rung::Single,
             sigma_ev: 0.0,
@@ -223,8 +228,9 @@ impl Estimator {
         );
         self.ceiling = merge::merge(frames, &mut self.radiance, &mut self.clipped);
         let ceiling = self.ceiling;
-        let base = (-frames[0].ev).exp2() as f32;
-        self.sky = Sky::look(&self.grid, &self.radiance, merge::CLIPPED * base);
+        self.base = (-frames[0].ev).exp2() as f32;
+        let clipped = merge::CLIPPED * self.base;
+        self.sky = Sky::look(&self.grid, &self.radiance, clipped);
         self.mark_blunted_sun();
         self.halos
             .find(&self.grid, &self.radiance, &self.clipped, ceiling);
@@ -242,12 +248,18 @@ impl Estimator {
         self.resolve();
     }
 
+    /// How far the exposures reach beyond the brightest one's clipping level, or beyond that of an
+    /// exposure of 0 EV if that is further: a dark frame may be the first, or the only one.
+    fn reach_of_exposures(&self) -> f32 {
+        self.ceiling / self.base.min(1.0)
+    }
+
     /// Unknown strengths under what was measured; lights and map are scaled by the result.
     fn constrain(&mut self, evidence: &Evidence) {
         let count = self.lights.len().min(GROUPS);
         let beliefs = self.beliefs();
         let mut shares = [0.0; GROUPS];
-        let measured = evidence.meter.map(|meter| self.measured(&meter));
+        let measured = evidence.meter.and_then(|meter| self.measured(&meter));
         let found = match evidence.probe {
             Some(probe) if !probe.is_empty() => self.constrain_by_probe(&beliefs, probe),
             _ => {
@@ -302,12 +314,16 @@ impl Estimator {
         seen.max(noise / count.sqrt()) / LN_2
     }
 
-    /// A meter's reading, and how well the lights' places let it be understood.
-    fn measured(&self, meter: &Meter) -> Measured {
+    /// A meter's reading, and how well the lights' places let it be understood; none if it sees
+    /// next to nothing of the picture, so that any reading would ask for any light.
+    fn measured(&self, meter: &Meter) -> Option<Measured> {
         let (base, reach) = self.reach(meter.normal);
         let base = luminance(base);
         let reach = reach.map(luminance);
         let total = (base + reach.iter().sum::<f64>()).max(1e-12);
+        if total < UNSEEN * self.flux() {
+            return None;
+        }
         // A light that is off by δ changes its cosine by δ·tan: much where it grazes the meter.
         let misplaced = self.lights.iter().zip(reach).map(|(light, reach)| {
             let cosine = light.direction.dot(meter.normal).clamp(0.05, 1.0);
@@ -316,12 +332,12 @@ impl Estimator {
         });
         let model = misplaced.sum::<f64>().min(1.0) / LN_2;
         let read = meter.relative_sigma / LN_2;
-        Measured {
+        Some(Measured {
             base,
             reach,
             value: meter.irradiance,
             sigma: (read * read + model * model + METER_MODEL_SIGMA.powi(2)).sqrt(),
-        }
+        })
     }
 
     /// How far a light may be from where it was seen, radians.

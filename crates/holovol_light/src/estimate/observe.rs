@@ -72,7 +72,7 @@ impl Estimator {
                 (mean > 0.0).then(|| Observation::Region {
                     edge: region.edge_gain(&self.grid),
                     gain: mean.log2().max(0.0),
-                    limit: gain_limit(self.ceiling),
+                    limit: gain_limit(self.reach_of_exposures()),
                     core: f64::from(region.core),
                     flux: real / all,
                 })

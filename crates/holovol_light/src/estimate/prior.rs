@@ -41,9 +41,6 @@ pub(super) const NEAR: f32 = 0.8;
 /// this share of a texel all around a small one.
 const SHARPEST: f64 = 0.005;
 const BLUR: f64 = 0.02;
-/// A bright point is blurred to a peak, of which a core of few texels is the tip: were it higher, it
-/// would be wider. Of a Gaussian of 0.85 texels the area above L is PEAK · ln(peak/L).
-const PEAK: f64 = 4.5;
 /// What looks cut out is further above clipping than an exponential has it: the logarithm of gains
 /// over that of what edges say has a slope of 1.1 to 1.3 (of 1.55 in one of six fits) whichever
 /// room is left out.
@@ -63,8 +60,7 @@ pub(super) fn edge_gain(near: f64, core: f64, texel: f64) -> f64 {
     // A disc's circumference over its area, in texels.
     let around = 2.0 * (PI * texel / core).sqrt();
     let sharpest = SHARPEST + (1.0 + BLUR * around).log2();
-    let tip = 1.0 - PEAK * f64::from(NEAR).ln() * texel / core;
-    let growth = (near / core).max(tip).log2() + sharpest;
+    let growth = (near / core).log2().max(0.0) + sharpest;
     let gain = (1.0 + (1.0 - f64::from(NEAR)) / (growth * LN_2)).log2();
     gain.powf(TAIL)
 }
@@ -81,10 +77,10 @@ const HAZE_SIGMA: f64 = 0.14;
 const LARGEST_AIR_MASS: f64 = 8.0;
 
 impl Prior {
-    /// The first field that no light can have: spreads are above 0, a gain is at least 0, and a
-    /// sun no further than 10 EV from its sky.
+    /// The first field that no light can have: spreads are above 0 and at most 10, a gain is at
+    /// least 0 and at most 10, and a sun no further than 10 EV from its sky.
     pub fn invalid_field(&self) -> Option<&'static str> {
-        let spread = |sigma: f64| sigma.is_finite() && sigma > 0.0;
+        let spread = |sigma: f64| sigma > 0.0 && sigma <= 10.0;
         [
             ("sun_over_sky", self.sun_over_sky.abs() <= 10.0),
             ("sun_sigma", spread(self.sun_sigma)),
@@ -128,9 +124,8 @@ mod tests {
         assert!((gain(0.1 * exponential(1.0), 0.1) - 1.0).abs() < 0.1);
         assert!(gain(0.1 * exponential(0.25), 0.1) < 0.4);
         assert!(gain(0.1, 0.1) > 4.0 && gain(10.0, 0.1) < 0.1);
-        // A tip of few texels is that of a low peak, though it looks cut out; a large core is not.
-        let cut_out = |texels: f64| gain(texels * texel, texels * texel);
-        assert!(cut_out(2.0) < 0.6 && cut_out(4.0) < 1.0 && cut_out(100.0) > 3.0);
+        // A lamp of four texels shows no edge that could be told from a cut.
+        assert!(gain(4.0 * texel, 4.0 * texel) < 0.8 * gain(0.1, 0.1));
         let prior = Prior::default();
         for core in [1e-6, 1e-3, 1.0, 12.0] {
             let found = prior.gain_of(gain(core, core), gain_limit(1.0));

@@ -237,3 +237,39 @@ fn a_sun_that_compression_keeps_from_clipping_is_still_one() {
             .all(|light| light.class != LightClass::Sun)
     );
 }
+
+/// Exposures may be counted from the brightest or from the darkest.
+#[test]
+fn the_unit_of_radiance_changes_nothing_but_the_unit() {
+    let frames = |first: f64| {
+        let shot = |ev: f64| (ev - first, expose(day, ev));
+        vec![shot(0.0), shot(-6.0)]
+    };
+    let [bright, dark] = [0.0, -6.0].map(|first| estimate(&frames(first), None));
+    let class = |estimator: &Estimator| estimator.lights()[0].class;
+    assert_eq!(class(&bright), LightClass::Sun);
+    assert_eq!(class(&dark), LightClass::Sun);
+    let ratio = dark.flux() / bright.flux() * 64.0;
+    assert!((ratio - 1.0).abs() < 1e-3, "{ratio}");
+    assert!((dark.sigma_ev() / bright.sigma_ev() - 1.0).abs() < 1e-3);
+}
+
+/// A picture of one row: all of it lies on the horizon, which a meter that looks up doesn't see.
+#[test]
+fn a_meter_that_sees_nothing_of_the_picture_says_nothing() {
+    let row = vec![[1.0; 3]; 2];
+    let frames = [Exposure {
+        ev: 0.0,
+        radiance: &row,
+    }];
+    let flux = |meter: Option<Meter>| {
+        let mut estimator = Estimator::new(2, 1, Prior::default());
+        estimator.estimate(&Evidence {
+            frames: &frames,
+            meter,
+            probe: None,
+        });
+        estimator.flux()
+    };
+    assert_eq!(flux(Some(Meter::upward(3.0))), flux(None));
+}
