@@ -41,6 +41,11 @@ pub(super) const NEAR: f32 = 0.8;
 /// this share of a texel all around a small one.
 const SHARPEST: f64 = 0.005;
 const BLUR: f64 = 0.02;
+/// A point of light is a Gaussian in the picture, of this standard deviation: an angle, of optics
+/// and of how panoramas are made, but not more than so many texels of a finer picture. A small core
+/// is the tip of one, and its edge can't be sharper than that tip's.
+const POINT: f64 = 0.0052;
+const POINT_TEXELS: f64 = 0.85;
 /// What looks cut out is further above clipping than an exponential has it: the logarithm of gains
 /// over that of what edges say has a slope of 1.1 to 1.3 (of 1.55 in one of six fits) whichever
 /// room is left out.
@@ -60,7 +65,10 @@ pub(super) fn edge_gain(near: f64, core: f64, texel: f64) -> f64 {
     // A disc's circumference over its area, in texels.
     let around = 2.0 * (PI * texel / core).sqrt();
     let sharpest = SHARPEST + (1.0 + BLUR * around).log2();
-    let growth = (near / core).log2().max(0.0) + sharpest;
+    // The area of a Gaussian above a level grows by 2πσ² ln(1/NEAR) down to NEAR of that level.
+    let point = 2.0 * PI * POINT.powi(2).min(POINT_TEXELS.powi(2) * texel);
+    let tip = 1.0 - point * f64::from(NEAR).ln() / core;
+    let growth = (near / core).max(tip).log2() + sharpest;
     let gain = (1.0 + (1.0 - f64::from(NEAR)) / (growth * LN_2)).log2();
     gain.powf(TAIL)
 }
@@ -126,6 +134,12 @@ mod tests {
         assert!(gain(0.1, 0.1) > 4.0 && gain(10.0, 0.1) < 0.1);
         // A lamp of four texels shows no edge that could be told from a cut.
         assert!(gain(4.0 * texel, 4.0 * texel) < 0.8 * gain(0.1, 0.1));
+        // As small a light can be a point's tip, hardly above clipping, where texels show points as
+        // Gaussians: not where they are finer.
+        assert!(gain(texel, texel) < 0.5 && edge_gain(texel, texel, texel / 16.0) > 1.5);
+        // In a coarse picture as many texels are a lamp, and no point.
+        let coarse = 64.0 * texel;
+        assert!(edge_gain(4.0 * coarse, 4.0 * coarse, coarse) > 3.0);
         let prior = Prior::default();
         for core in [1e-6, 1e-3, 1.0, 12.0] {
             let found = prior.gain_of(gain(core, core), gain_limit(1.0));
