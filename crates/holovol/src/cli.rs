@@ -12,7 +12,9 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use holovol_volume::{Endian, NumberType, RawLayout, ReadOptions};
 
-pub use self::bench::{BenchCommand, BenchDenoiseArgs, BenchLightArgs, BenchTraceArgs};
+pub use self::bench::{
+    BenchCommand, BenchDenoiseArgs, BenchLightArgs, BenchStereoArgs, BenchTraceArgs,
+};
 #[cfg(feature = "preview")]
 pub use self::window::PreviewArgs;
 #[cfg(feature = "xr")]

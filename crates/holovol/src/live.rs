@@ -12,8 +12,8 @@ use holovol_scene::{Camera, Scene};
 
 use crate::{Exit, Failure};
 
-/// Seconds of a frame's stages, each waited for: of processor time on a software adapter (on Linux,
-/// in steps of 10 ms), else by the clock.
+/// Seconds of a frame's stages, each waited for: of processor time on a software adapter on
+/// Linux, else by the clock.
 #[derive(Clone, Copy, Debug, Default, serde::Serialize)]
 pub(crate) struct Seconds {
     pub(crate) trace: f64,
@@ -184,12 +184,13 @@ impl Live {
 }
 
 /// Processor time of all threads so far, where the system tells it.
+#[cfg(target_os = "linux")]
 fn processor_seconds() -> Option<f64> {
-    /// Linux counts in these on every architecture.
-    const TICKS_PER_SECOND: f64 = 100.0;
-    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-    // Fields after the program's name, which may hold anything, in brackets.
-    let fields: Vec<_> = stat.rsplit_once(')')?.1.split_whitespace().collect();
-    let ticks = |i: usize| fields.get(i)?.parse::<f64>().ok();
-    Some((ticks(11)? + ticks(12)?) / TICKS_PER_SECOND)
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    Some(time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64)
+}
+
+#[cfg(not(target_os = "linux"))]
+fn processor_seconds() -> Option<f64> {
+    None
 }

@@ -38,7 +38,7 @@ const BEFORE_SWITCH: u32 = 12;
 /// Frames after a switch at which ghosts are measured.
 const AFTER_SWITCH: [u32; 4] = [1, 2, 4, 8];
 /// Distance of the eyes, metres.
-const IPD: f64 = 0.063;
+pub(super) const IPD: f64 = 0.063;
 
 #[derive(Debug, Serialize)]
 pub(super) struct Report {
@@ -105,7 +105,7 @@ pub(super) struct Disoccluded {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Case {
+pub(super) enum Case {
     Rest,
     SlowHead,
     FastHead,
@@ -137,7 +137,7 @@ impl Case {
     }
 
     /// The scene `back` frames before its end.
-    fn scene(self, end: &Scene, back: u32) -> Scene {
+    pub(super) fn scene(self, end: &Scene, back: u32) -> Scene {
         let back = f64::from(back);
         let mut scene = end.clone();
         let around = |angle: f64, step: f64| {
@@ -255,7 +255,12 @@ fn reference(
     Ok([left?, right?])
 }
 
-fn halves(gpu: &Gpu, scene: &Scene, camera: Camera, spp: u32) -> Result<[Image; 2], Failure> {
+pub(super) fn halves(
+    gpu: &Gpu,
+    scene: &Scene,
+    camera: Camera,
+    spp: u32,
+) -> Result<[Image; 2], Failure> {
     let scene = Scene {
         camera,
         ..scene.clone()

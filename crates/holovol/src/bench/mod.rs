@@ -8,6 +8,7 @@ mod denoise_report;
 mod light;
 mod light_path;
 mod report;
+mod stereo;
 mod trace;
 
 use crate::Failure;
@@ -18,6 +19,7 @@ pub(crate) fn run(command: &BenchCommand) -> Result<(), Failure> {
         BenchCommand::Trace(args) => trace::run(args),
         BenchCommand::Light(args) => light::run(args),
         BenchCommand::Denoise(args) => denoise::run(args),
+        BenchCommand::Stereo(args) => stereo::run(args),
     }
 }
 

@@ -14,6 +14,8 @@ pub enum BenchCommand {
     Light(BenchLightArgs),
     /// The denoisers against converged images and Open Image Denoise
     Denoise(BenchDenoiseArgs),
+    /// Two eyes against one, at equal error
+    Stereo(BenchStereoArgs),
 }
 
 /// `holovol bench light`
@@ -80,6 +82,43 @@ pub struct BenchDenoiseArgs {
     #[arg(long, value_name = "FOLDER")]
     pub pictures: Option<PathBuf>,
     /// Also write the results as Markdown tables
+    #[arg(long, value_name = "OUT.md")]
+    pub report: Option<PathBuf>,
+    /// Use the graphics adapter whose name or driver contains this
+    #[arg(long, value_name = "NAME")]
+    pub adapter: Option<String>,
+}
+
+/// `holovol bench stereo`
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+The left eye's error in the last of some frames with a slow head (5 mm a frame), denoised alone and
+together with the right one, over samples per pixel; and what frames cost. From both curves: how
+many times the cost of one eye is that of two at equal error, with two eyes of 2 samples, and with
+one eye of 2 samples. On standard output comes one line of JSON.
+
+Example:
+  holovol bench stereo iguana_studio.json --size 128 --report stereo.md")]
+pub struct BenchStereoArgs {
+    /// Scene files
+    #[arg(value_name = "SCENE.json", required = true)]
+    pub scenes: Vec<PathBuf>,
+    /// Frames of a run
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(2..))]
+    pub frames: u32,
+    /// Runs whose errors are averaged
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    pub rounds: u32,
+    /// Samples per pixel of each of the reference's two halves
+    #[arg(long, value_name = "N", default_value_t = 96, value_parser = clap::value_parser!(u32).range(1..))]
+    pub reference_spp: u32,
+    /// Width and height in pixels, instead of the scene's
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=4096))]
+    pub size: Option<u32>,
+    /// The head is at rest
+    #[arg(long)]
+    pub rest: bool,
+    /// Also write the results as a Markdown table
     #[arg(long, value_name = "OUT.md")]
     pub report: Option<PathBuf>,
     /// Use the graphics adapter whose name or driver contains this
