@@ -33,6 +33,7 @@ fn main() {
             hardware_interpolation_differs_from_exact_and_says_so,
         ),
         test("denoise_lowers_the_error", denoise_lowers_the_error),
+        test("benchmarks_measure", benchmarks_measure),
         test("demo_makes_a_picture", demo_makes_a_picture),
         test(
             "every_kind_of_file_is_told_and_rendered",
@@ -161,6 +162,73 @@ fn denoise_lowers_the_error() {
     assert!(
         holovol < 0.5 * off && holovol < paper && holovol > 0.0,
         "holovol {holovol}, paper {paper}, off {off}"
+    );
+}
+
+/// Little of everything; what errors must do on any machine.
+fn benchmarks_measure() {
+    let bench = Bench::new();
+    // Half a metre away and as far across: both eyes see it.
+    let mut scene = support::scene();
+    let (side, half) = (0.3, -0.15);
+    scene["volume"]["world_from_unit_cube"] = serde_json::json!([
+        [side, 0, 0, half],
+        [0, side, 0, half],
+        [0, 0, side, half],
+        [0, 0, 0, 1]
+    ]);
+    scene["camera"]["eye"] = serde_json::json!([0, 0, 0.5]);
+    scene["camera"]["fov_y_deg"] = 40.into();
+    scene["transfer_function"]["points"][1]["sigma_t"] = 40.into();
+    bench.write_scene("scene.json", &scene);
+    let measured = |args: &[&str]| {
+        let args = [&["bench"], args, &["--report", "report.md"]].concat();
+        let line = bench.json(&args);
+        let report = std::fs::read_to_string(bench.path("report.md")).unwrap();
+        assert!(report.contains("| scene |"), "{args:?}: {report}");
+        line["scenes"][0].clone()
+    };
+    let is_positive = |value: &serde_json::Value| value.as_f64().is_some_and(|value| value > 0.0);
+
+    let scene = measured(&["trace", "scene.json", "--rounds", "2", "--no-sizes"]);
+    assert!(is_positive(&scene["lookups_per_covered_sample"]), "{scene}");
+    let variants = scene["variants"].as_array().unwrap();
+    assert!(
+        variants.len() > 3 && variants.iter().all(|v| is_positive(&v["default_gain"])),
+        "{scene}"
+    );
+
+    let few = ["scene.json", "--size", "24", "--reference-spp", "64"];
+    let scene = measured(&[&["denoise", "--case", "rest"], &few[..]].concat());
+    let case = &scene["cases"][0];
+    let error = |frames: u32| {
+        let of = |outcome: &&serde_json::Value| {
+            outcome["mode"] == "holovol" && outcome["frames"] == frames
+        };
+        let outcome = case["results"].as_array().unwrap().iter().find(of).unwrap();
+        outcome["relmse"].as_f64().unwrap()
+    };
+    assert!(
+        error(8) < error(1) && error(1) < case["noisy_relmse"].as_f64().unwrap(),
+        "{case}"
+    );
+
+    let rounds = ["--rounds", "4", "--frames", "3", "--rest"];
+    let scene = measured(&[&["stereo"], &few[..], &rounds[..]].concat());
+    let errors = |eyes: &str| -> Vec<f64> {
+        let runs = scene[eyes].as_array().unwrap();
+        runs.iter()
+            .map(|run| run["error"].as_f64().unwrap())
+            .collect()
+    };
+    let [one, two] = ["one_eye", "two_eyes"].map(errors);
+    assert!(
+        (one.len(), two.len()) == (4, 3) && one[3] < one[0] && two[2] < two[0] && two[0] < one[0],
+        "{scene}"
+    );
+    assert!(
+        is_positive(&scene["as_good_as_two"]) && is_positive(&scene["as_good_as_one"]),
+        "{scene}"
     );
 }
 
