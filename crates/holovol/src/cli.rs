@@ -422,7 +422,8 @@ pub struct LightArgs {
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 The panorama looks ahead (−z) at its centre. Both lenses are brought to one brightness where they
-overlap.
+overlap. What neither lens sees is black; its share of the sphere is noted, and on standard output
+it is unseen.
 
 Example:
   holovol stitch front.png back.png --calibration camera.json --out pano.png")]
@@ -451,10 +452,13 @@ pub struct StitchArgs {
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 From one pair of pictures: rotation, centres and focal length, refined until both lenses agree in
-their overlap. From an exposure series of a scene that stands still: the camera's response.
+their overlap; where nothing in the overlap tells the pose, nothing is written. From an exposure
+series of a scene that stands still: the camera's response. With --series and no lenses (--pair,
+--start, --insta360), the file is a response, which --crf reads.
 
 Examples:
   holovol calibrate --pair front.png back.png --fov 195 --out camera.json
+  holovol calibrate --series a.png@0 b.png@-2 c.png@-4 --out response.json
   holovol calibrate --start camera.json --series a.png@0 b.png@-2 c.png@-4 --out camera.json")]
 pub struct CalibrateArgs {
     /// Pictures of the front and the back lens, taken at once
@@ -475,7 +479,7 @@ pub struct CalibrateArgs {
     /// Camera response, if known: srgb, gamma:NUMBER, or a file
     #[arg(long, value_name = "CRF")]
     pub crf: Option<String>,
-    /// The calibration file to write
+    /// The calibration (or response) file to write
     #[arg(long, value_name = "OUT.json")]
     pub out: PathBuf,
 }

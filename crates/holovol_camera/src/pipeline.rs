@@ -337,11 +337,57 @@ mod tests {
             "{:?}",
             refined.disagreement
         );
+        assert!(refined.agreement > 0.95, "{}", refined.agreement);
         let after = rms(&stitched(&camera, &refined.calibration, &map), &map);
         assert!(after < 0.6 * before, "{before} {after}");
         let LensModel::Equidistant { .. } = refined.calibration.lenses[0].projection else {
             panic!("the model stays");
         };
+    }
+
+    /// Another room with as bright a top and as dark a bottom has as much in common with this one
+    /// as any two places have; it tells nothing of the lenses.
+    #[test]
+    fn pictures_that_show_no_common_seam_are_refused() {
+        let map = |seed: f64| {
+            let texel = |i: usize| {
+                let uv = [
+                    ((i % 256) as f64 + 0.5) / 256.0,
+                    ((i / 256) as f64 + 0.5) / 128.0,
+                ];
+                let d = EnvironmentMap::direction_from_uv(uv);
+                let waves = holovol_light::measure::normals(8).zip(1..);
+                let texture: f64 = waves
+                    .map(|(n, i)| {
+                        ((8.0 + 2.0 * f64::from(i)) * n.dot(d) + seed * f64::from(i)).sin()
+                    })
+                    .sum();
+                [(0.35 + 0.2 * d.y + 0.04 * texture).max(0.02) as f32; 3]
+            };
+            EnvironmentMap::new(256, 128, (0..256 * 128).map(texel).collect())
+        };
+        let shoot = |map: &EnvironmentMap| {
+            let shots = camera().shoot(map, &[Exposure::Fixed(0.0)], 1).unwrap();
+            shots[0].pictures.clone()
+        };
+        let start = Calibration::nominal([SIZE; 2], 195.0);
+        let judge = |pictures: [&[[u8; 3]]; 2]| refine(&start, &FisheyePair { pictures });
+        let here = shoot(&map(0.0));
+        let there = shoot(&map(1.0));
+        let black = vec![[0; 3]; SIZE * SIZE];
+        let mut nearly_black = black.clone();
+        nearly_black[0] = [1; 3];
+        for pictures in [[&here[0], &there[1]], [&nearly_black, &black]] {
+            let refused = judge(pictures.map(Vec::as_slice)).unwrap_err().to_string();
+            assert!(refused.contains("nothing in the overlap"), "{refused}");
+        }
+        let same = judge([&here[0], &here[0]]).unwrap_err().to_string();
+        assert!(same.contains("same picture"), "{same}");
+        let narrow = Calibration::nominal([SIZE; 2], 175.0);
+        let pictures = here.each_ref().map(Vec::as_slice);
+        let apart = refine(&narrow, &FisheyePair { pictures });
+        let apart = apart.unwrap_err().to_string();
+        assert!(apart.contains("182°") && apart.contains("--fov"), "{apart}");
     }
 
     #[test]

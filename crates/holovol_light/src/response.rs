@@ -101,6 +101,10 @@ pub struct SeriesFrame<'a> {
 const SMOOTHNESS: f64 = 30.0;
 /// Pixels that are looked at.
 const SAMPLES: usize = 120;
+/// A curve through fewer different codes is a guess.
+const FEWEST_CODES: usize = 32;
+/// Share of the changes of exposure that a series has to show.
+const LEAST_FOLLOWED: f64 = 0.75;
 
 /// Fits the response to an exposure series of a scene that stood still (Debevec and Malik 1997),
 /// then makes it monotone.
@@ -109,8 +113,8 @@ const SAMPLES: usize = 120;
 /// eliminated, which leaves 256 unknowns per channel.
 ///
 /// # Errors
-/// With fewer than 3 frames, frames of different sizes, all of one exposure, or without pixels
-/// that change with it.
+/// With fewer than 3 frames, frames of different sizes, all of one exposure, without pixels
+/// between black and clipping, with few different codes, or with codes that don't change as the exposures say.
 pub fn fit_response(frames: &[SeriesFrame]) -> Result<Response, String> {
     if frames.len() < 3 {
         return Err(format!(
@@ -126,7 +130,9 @@ pub fn fit_response(frames: &[SeriesFrame]) -> Result<Response, String> {
         (low.min(f.ev), high.max(f.ev))
     });
     if !(high - low >= 1.0 && (high - low).is_finite()) {
-        return Err("the exposures of the series span less than 1 EV".into());
+        return Err(
+            "the exposures of the series span less than 1 EV; say each as PICTURE@EV, as in dark.png@-2".into(),
+        );
     }
     let mut tables: [Vec<f64>; 3] = Default::default();
     for (c, table) in tables.iter_mut().enumerate() {
@@ -135,13 +141,36 @@ pub fn fit_response(frames: &[SeriesFrame]) -> Result<Response, String> {
             let open = frames.iter().filter(|f| (6..250).contains(&f.pixels[i][c]));
             open.count() >= 2
         });
+        let name = ["red", "green", "blue"][c];
         if usable.count() < 20 {
             return Err(format!(
-                "{} has too few pixels between black and clipping in two pictures of the series",
-                ["red", "green", "blue"][c]
+                "{name} has too few pixels between black and clipping in two pictures of the series"
             ));
         }
-        *table = solve(frames, &samples, c)?;
+        let mut used = [false; 256];
+        for (frame, &i) in frames
+            .iter()
+            .flat_map(|f| samples.iter().map(move |i| (f, i)))
+        {
+            used[usize::from(frame.pixels[i][c])] = true;
+        }
+        let codes = used[6..250].iter().filter(|&&used| used).count();
+        if codes < FEWEST_CODES {
+            return Err(format!(
+                "{name} has {codes} different codes in the whole series, expected {FEWEST_CODES} and more; take a scene with dark and bright parts"
+            ));
+        }
+        let curve = solve(frames, &samples, c)?;
+        let followed = followed(frames, &samples, c, &curve);
+        if followed < LEAST_FOLLOWED {
+            return Err(format!(
+                "{name} follows only {:.0} % of what the exposures say, expected {:.0} % and more; is each picture's @EV right (darker is less), and did scene, camera and white balance stand still?",
+                100.0 * followed.max(0.0),
+                100.0 * LEAST_FOLLOWED
+            ));
+        }
+        let last = curve[255];
+        *table = curve.iter().map(|g| (g - last).exp()).collect();
     }
     let response = Response::Table(tables);
     response.check()?;
@@ -213,10 +242,33 @@ fn solve(frames: &[SeriesFrame], samples: &[usize], c: usize) -> Result<Vec<f64>
     // The level is free: g(128) = 0.
     matrix[128 * N + 128] += 1.0;
     let mut curve = cholesky(matrix, right, N)
-        .ok_or("the series does not determine the response; take more exposures")?;
+        .ok_or("the series does not determine the response: its codes hardly change from picture to picture; take more exposures, 1 or 2 EV apart")?;
     make_monotone(&mut curve);
-    let last = curve[255];
-    Ok(curve.iter().map(|g| (g - last).exp()).collect())
+    Ok(curve)
+}
+
+/// Share of the series's changes of exposure (squared EV, within each pixel) that the curve finds
+/// again in the codes: 1 where they are as the exposures say, 0 where the codes don't follow them.
+fn followed(frames: &[SeriesFrame], samples: &[usize], c: usize, curve: &[f64]) -> f64 {
+    let (mut left, mut all) = (0.0, 0.0);
+    for &i in samples {
+        let open = || {
+            frames.iter().filter_map(|f| {
+                let z = f.pixels[i][c];
+                let t = f.ev * std::f64::consts::LN_2;
+                (6..250)
+                    .contains(&z)
+                    .then(|| (t, t - curve[usize::from(z)]))
+            })
+        };
+        let count = open().count().max(1) as f64;
+        let sum = open().fold([0.0; 2], |sum, (t, e)| [sum[0] + t, sum[1] + e]);
+        for (t, e) in open() {
+            all += (t - sum[0] / count).powi(2);
+            left += (e - sum[1] / count).powi(2);
+        }
+    }
+    if all > 0.0 { 1.0 - left / all } else { 0.0 }
 }
 
 /// The nearest curve (least squares) that never falls: pool adjacent violators.
@@ -362,6 +414,26 @@ mod tests {
                 .unwrap_err()
                 .contains("too few pixels")
         );
+        // Exposures that are not those of the pictures: all alike, or the other way round.
+        let evs = [0.0, -1.0, -2.0];
+        let refused = |pictures: [&Vec<[u8; 3]>; 3]| {
+            let frames = [0, 1, 2].map(|i| SeriesFrame {
+                ev: evs[i],
+                pixels: pictures[i],
+            });
+            fit_response(&frames).unwrap_err()
+        };
+        let pictures = series(|l| l.sqrt(), &evs);
+        let alike = refused([&pictures[0]; 3]);
+        assert!(
+            alike.contains("hardly change") || alike.contains("follows only"),
+            "{alike}"
+        );
+        let turned = refused([&pictures[2], &pictures[1], &pictures[0]]);
+        assert!(turned.contains("follows only"), "{turned}");
+        let grey = [90, 60, 40].map(|code| vec![[code; 3]; 4000]);
+        let codes = refused(grey.each_ref());
+        assert!(codes.contains("3 different codes"), "{codes}");
     }
 
     #[test]

@@ -62,8 +62,8 @@ pub(crate) struct LightReport {
     pub(crate) disc: bool,
 }
 
-/// An exposure as the command line names it: `PANO` or `PANO@EV`.
-fn exposure(text: &str) -> Result<(PathBuf, f64), Failure> {
+/// An exposure as an option of the command line names it: `PANO` or `PANO@EV`.
+fn exposure(option: &str, text: &str) -> Result<(PathBuf, f64), Failure> {
     // A file may have an @ in its name; only a number behind the last one is an exposure.
     if let Some((path, ev)) = text.rsplit_once('@')
         && let Ok(ev) = ev.parse::<f64>()
@@ -71,7 +71,7 @@ fn exposure(text: &str) -> Result<(PathBuf, f64), Failure> {
         if ev.is_nan() || ev.abs() > 40.0 {
             return Err(Failure::new(
                 Exit::Usage,
-                format!("--ldr {text}: an exposure of {ev} EV, expected −40 … 40"),
+                format!("{option} {text}: an exposure of {ev} EV, expected −40 … 40"),
             ));
         }
         return Ok((path.into(), ev));
@@ -95,7 +95,7 @@ pub(crate) fn run(args: &LightArgs) -> Result<(), Failure> {
     let mut notes = Vec::new();
     let mut frames: Vec<(f64, Linear)> = Vec::new();
     for text in &args.ldr {
-        let (path, ev) = exposure(text)?;
+        let (path, ev) = exposure("--ldr", text)?;
         let mut picture = input::linear(&path, &response)?;
         notes.append(&mut picture.notes);
         frames.push((ev, picture));

@@ -18,12 +18,20 @@ impl From<CalibrationError> for Failure {
     }
 }
 
+/// A picture with more of its lit pixels outside the field of view is another camera's; with both
+/// lenses' circles in one picture it's a half.
+const MOST_OUTSIDE: f64 = 0.6;
+/// Less of the sphere is not worth a note.
+const LEAST_UNSEEN: f64 = 5e-4;
+
 #[derive(Serialize)]
 struct Stitched<'a> {
     out: &'a Path,
     width: usize,
     height: usize,
     gains: [f32; 2],
+    /// Share of the sphere that neither lens sees.
+    unseen: f64,
     seconds: f64,
 }
 
@@ -32,8 +40,10 @@ pub(crate) fn run(args: &StitchArgs) -> Result<(), Failure> {
     let (wa, ha, a) = rgb8(&args.a)?;
     let (wb, hb, b) = rgb8(&args.b)?;
     let calibration = match &args.calibration {
-        Some(path) => Calibration::load(path)?.for_sizes([[wa, ha], [wb, hb]])?,
-        None => nominal([[wa, ha], [wb, hb]], args.fov)?,
+        Some(path) => Calibration::load(path)?
+            .for_sizes([[wa, ha], [wb, hb]])
+            .map_err(|error| error.in_file(path))?,
+        None => nominal([[wa, ha], [wb, hb]], args.fov, "--calibration")?,
     };
     let width = args.width as usize;
     let mut stitcher = Stitcher::new(&calibration, width, width / 2, DMat3::IDENTITY)?;
@@ -41,6 +51,24 @@ pub(crate) fn run(args: &StitchArgs) -> Result<(), Failure> {
     let started = std::time::Instant::now();
     stitcher.stitch(&FisheyePair { pictures: [&a, &b] }, &mut panorama)?;
     let seconds = started.elapsed().as_secs_f64();
+    for (lens, (path, picture)) in [(&args.a, &a), (&args.b, &b)].into_iter().enumerate() {
+        let outside = calibration.lenses[lens].lit_outside(picture);
+        if outside > MOST_OUTSIDE {
+            eprintln!(
+                "note: {}: {:.0} % of what is lit in it lies outside lenses[{lens}]'s field of view; the calibration seems to be for other pictures",
+                path.display(),
+                100.0 * outside
+            );
+        }
+    }
+    let unseen = stitcher.unseen();
+    if unseen > LEAST_UNSEEN {
+        eprintln!(
+            "note: neither lens sees {:.1} % of the sphere, which is black in {}; is the field of view right (fov_deg, or --fov without a calibration)?",
+            100.0 * unseen,
+            args.out.display()
+        );
+    }
     let code = |l: f32| (linear_to_srgb(f64::from(l.clamp(0.0, 1.0))) * 255.0).round() as u8;
     let picture = Picture {
         width: width as u32,
@@ -56,16 +84,18 @@ pub(crate) fn run(args: &StitchArgs) -> Result<(), Failure> {
         width,
         height: width / 2,
         gains: stitcher.gains(),
+        unseen,
         seconds,
     })
 }
 
-fn nominal(sizes: [[usize; 2]; 2], fov: f64) -> Result<Calibration, Failure> {
+/// Two equidistant lenses for pictures of one size; `option` names a file that could say better.
+fn nominal(sizes: [[usize; 2]; 2], fov: f64, option: &str) -> Result<Calibration, Failure> {
     if sizes[0] != sizes[1] {
         return Err(Failure::new(
             Exit::Input,
             format!(
-                "the pictures have {:?} and {:?} pixels; without --calibration both must be alike",
+                "the pictures have {:?} and {:?} pixels; without {option} both must be alike",
                 sizes[0], sizes[1]
             ),
         ));
@@ -76,6 +106,10 @@ fn nominal(sizes: [[usize; 2]; 2], fov: f64) -> Result<Calibration, Failure> {
 #[derive(Serialize)]
 struct Calibrated<'a> {
     out: &'a Path,
+    /// What the file holds: a calibration or a response.
+    kind: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    agreement: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     disagreement: Option<[f64; 2]>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -87,6 +121,8 @@ pub(crate) fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
     output::check(&args.out, "json", "--out")?;
     let mut line = Calibrated {
         out: &args.out,
+        kind: "calibration",
+        agreement: None,
         disagreement: None,
         compared: None,
         response: "as given",
@@ -96,10 +132,18 @@ pub(crate) fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
         [a, b] => Some((rgb8(a)?, rgb8(b)?)),
         _ => return Err(Failure::new(Exit::Usage, "--pair takes two pictures")),
     };
+    if args.crf.is_some() && !args.series.is_empty() {
+        return Err(Failure::new(
+            Exit::Usage,
+            "--crf and --series exclude each other: one gives the response, one fits it",
+        ));
+    }
     let mut calibration = match (&args.start, &args.insta360, &pair) {
         (Some(path), None, _) => Calibration::load(path)?,
         (None, Some(text), _) => Calibration::from_insta360_offset(text)?,
-        (None, None, Some(((w, h, _), (v, g, _)))) => nominal([[*w, *h], [*v, *g]], args.fov)?,
+        (None, None, Some(((w, h, _), (v, g, _)))) => {
+            nominal([[*w, *h], [*v, *g]], args.fov, "--start")?
+        }
         (Some(_), Some(_), _) => {
             return Err(Failure::new(
                 Exit::Usage,
@@ -112,7 +156,12 @@ pub(crate) fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
                 "nothing to calibrate from; give --pair A B, --start, --insta360 or --series",
             ));
         }
-        (None, None, None) => Calibration::nominal([1, 1], args.fov),
+        (None, None, None) => {
+            // Of the lenses nothing is known: the response alone, as --crf reads it.
+            (line.kind, line.response) = ("response", "fitted");
+            write_json(&series(&args.series)?, &args.out)?;
+            return print_json(&line);
+        }
     };
     if let Some(crf) = &args.crf {
         calibration.response = response(crf)?;
@@ -122,31 +171,57 @@ pub(crate) fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
         line.response = "fitted";
     }
     if let Some(((wa, ha, a), (wb, hb, b))) = &pair {
-        for picture in [a, b] {
+        for (path, picture) in args.pair.iter().zip([a, b]) {
             let check = blind_check(picture);
             if check.gaps > 0.2 {
                 eprintln!(
-                    "note: {:.0} % of the codes are never used; the picture seems to be edited",
+                    "note: {}: {:.0} % of the codes are never used; the picture seems to be edited",
+                    path.display(),
                     100.0 * check.gaps
                 );
             }
         }
-        let start = calibration.for_sizes([[*wa, *ha], [*wb, *hb]])?;
-        let refined = refine(&start, &FisheyePair { pictures: [a, b] })?;
+        let sizes = [[*wa, *ha], [*wb, *hb]];
+        let start = calibration.for_sizes(sizes).map_err(|error| {
+            let source = args.start.as_deref().unwrap_or(Path::new("--insta360"));
+            error.in_file(source)
+        })?;
+        let refined = refine(&start, &FisheyePair { pictures: [a, b] }).map_err(|error| {
+            let [a, b] = [0, 1].map(|i| args.pair[i].display());
+            Failure::new(Exit::Input, format!("--pair {a} {b}: {error}"))
+        })?;
+        line.agreement = Some(refined.agreement);
         line.disagreement = Some(refined.disagreement);
         line.compared = Some(refined.compared);
         calibration = refined.calibration;
     }
-    output::write_text(&(calibration.to_json() + "\n"), &args.out)?;
+    write_json(&calibration, &args.out)?;
     print_json(&line)
+}
+
+fn write_json(value: &impl Serialize, path: &Path) -> Result<(), Failure> {
+    let text = serde_json::to_string_pretty(value)
+        .map_err(|error| Failure::new(Exit::Internal, error.to_string()))?;
+    output::write_text(&(text + "\n"), path)
 }
 
 /// Fits the response to `PICTURE@EV …`.
 fn series(entries: &[String]) -> Result<holovol_light::response::Response, Failure> {
     let mut pictures = Vec::new();
+    let mut first = None;
     for text in entries {
-        let (path, ev) = super::exposure(text)?;
-        pictures.push((ev, rgb8(&path)?.2));
+        let (path, ev) = super::exposure("--series", text)?;
+        let (width, height, pixels) = rgb8(&path)?;
+        let (across, down) = *first.get_or_insert((width, height));
+        if (width, height) != (across, down) {
+            return Err(Failure::new(
+                Exit::Input,
+                format!(
+                    "--series {text}: {width} × {height} pixels, but the first picture has {across} × {down}; all must show the same view"
+                ),
+            ));
+        }
+        pictures.push((ev, pixels));
     }
     let frames: Vec<SeriesFrame> = pictures
         .iter()

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::LensModel;
@@ -27,17 +27,25 @@ pub enum CalibrationError {
         /// Where and what.
         reason: String,
     },
-    /// A lens is impossible.
-    #[error("lens {lens} of the calibration: {reason}")]
-    Lens {
-        /// 0 or 1.
-        lens: usize,
-        /// What is wrong.
+    /// A lens or the response is impossible.
+    #[error("{field} {reason}")]
+    Field {
+        /// Path of the field, as in `lenses[1].projection.centre`.
+        field: String,
+        /// What it is, and what was expected.
         reason: String,
+    },
+    /// The calibration of a file can't be used.
+    #[error("{path}: {problem}")]
+    InFile {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        problem: Box<CalibrationError>,
     },
     /// The pictures are not those that were calibrated.
     #[error(
-        "the calibration is for pictures of {expected:?} pixels, lens {lens}'s picture has {found:?}; only the same shape at another scale can be used"
+        "lenses[{lens}].size is {expected:?} pixels, its picture has {found:?}; only the same shape at another scale can be used"
     )]
     Size {
         /// 0 or 1.
@@ -53,6 +61,19 @@ pub enum CalibrationError {
     /// The pictures don't tell enough.
     #[error("{0}")]
     Overlap(String),
+}
+
+impl CalibrationError {
+    /// The same problem, naming the file that has it.
+    pub fn in_file(self, path: &Path) -> Self {
+        match self {
+            Self::Io { .. } | Self::Parse { .. } | Self::InFile { .. } => self,
+            problem => Self::InFile {
+                path: path.into(),
+                problem: Box::new(problem),
+            },
+        }
+    }
 }
 
 /// One lens of a camera.
@@ -91,7 +112,127 @@ impl Lens {
         let [a, b, c] = self.vignetting;
         1.0 + r2 * (a + r2 * (b + r2 * c))
     }
+
+    /// Least and greatest falloff.
+    fn falloff_range(&self) -> [f64; 2] {
+        let [a, b, c] = self.vignetting;
+        // The edges, and where the derivative by ρ², a + 2bρ² + 3cρ⁴, is 0.
+        let q = -(b + (b * b - 3.0 * a * c).max(0.0).sqrt().copysign(b));
+        let turns = [q / (3.0 * c), a / q].into_iter();
+        let places = turns
+            .filter(|r2| (0.0..=1.0).contains(r2))
+            .chain([0.0, 1.0]);
+        places.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], r2| {
+            let falloff = self.falloff(r2.sqrt());
+            [low.min(falloff), high.max(falloff)]
+        })
+    }
+
+    /// Share of a picture's lit pixels that lie outside the field of view, 0 … 1: about a half
+    /// where a picture holds both lenses' circles, much more where it is not the one that was
+    /// calibrated. `picture` has the lens's size.
+    pub fn lit_outside(&self, picture: &[[u8; 3]]) -> f64 {
+        /// Above what glare and coding leave of the black around a lens's circle.
+        const LIT: u8 = 32;
+        let edge = super::stitch::edge_radius(self);
+        let (mut lit, mut outside) = (0.0, 0.0);
+        for (i, pixel) in picture.iter().enumerate() {
+            if pixel.iter().any(|&code| code > LIT) {
+                let at = DVec2::new((i % self.size[0]) as f64, (i / self.size[0]) as f64) + 0.5;
+                lit += 1.0;
+                outside += f64::from(u8::from(at.distance(self.projection.centre()) > edge + 1.0));
+            }
+        }
+        if lit > 0.0 { outside / lit } else { 0.0 }
+    }
+
+    /// What is impossible, if anything: the field, and what is wrong with it.
+    fn problem(&self) -> Option<(String, String)> {
+        let own = |field: &str, reason: String| Some((field.into(), reason));
+        if !self.size.iter().all(|n| (1..=MAX_SIDE).contains(n)) {
+            return own(
+                "size",
+                format!("is {:?}, expected 1 … {MAX_SIDE} pixels", self.size),
+            );
+        }
+        let rotation = DQuat::from_array(self.lens_from_camera);
+        if !(rotation.is_finite() && (0.5..2.0).contains(&rotation.length())) {
+            return own(
+                "lens_from_camera",
+                format!(
+                    "is {:?}, expected a unit quaternion x, y, z, w",
+                    self.lens_from_camera
+                ),
+            );
+        }
+        if !(0.01..=100.0).contains(&self.gain) {
+            return own("gain", format!("is {:?}, expected 0.01 … 100", self.gain));
+        }
+        if !self.vignetting.iter().all(|a| a.abs() <= 100.0) {
+            return own(
+                "vignetting",
+                format!("is {:?}, expected −100 … 100 each", self.vignetting),
+            );
+        }
+        let [low, high] = self.falloff_range();
+        if low < 0.05 || high > 20.0 {
+            return own(
+                "vignetting",
+                format!(
+                    "is {:?}, a falloff of {low:.3} … {high:.3}; expected one within 0.05 … 20",
+                    self.vignetting
+                ),
+            );
+        }
+        let inner = |(field, reason)| Some((format!("projection.{field}"), reason));
+        if let Some(problem) = self.projection.problem() {
+            return inner(problem);
+        }
+        let ([width, height], centre) = (self.size, self.projection.centre());
+        let place = format!("its picture of {width} × {height} pixels");
+        if !(centre.cmpgt(DVec2::ZERO).all() && centre.x < width as f64 && centre.y < height as f64)
+        {
+            return inner((
+                "centre",
+                format!(
+                    "is [{}, {}], outside {place}; size, centre and focal belong to one picture of one lens",
+                    centre.x, centre.y
+                ),
+            ));
+        }
+        let scale = match self.projection {
+            LensModel::OCam { .. } => "polynomial",
+            _ => "focal",
+        };
+        let (share, edge) = self.projection.on_picture(self.size);
+        if share < 0.5 {
+            return inner((
+                scale,
+                format!(
+                    "leaves {:.0} % of the field of view ({}°) outside {place}; if it is of a larger picture, size has to be that one's; if the picture is cut, lower fov_deg",
+                    100.0 * (1.0 - share),
+                    self.projection.fov_deg()
+                ),
+            ));
+        }
+        if edge < LEAST_EDGE * width.min(height) as f64 {
+            return inner((
+                scale,
+                format!(
+                    "puts the whole field of view within {edge:.1} pixels of the centre of {place}; if it is of a smaller picture, size has to be that one's"
+                ),
+            ));
+        }
+        None
+    }
 }
+
+/// Widest and tallest picture, pixels.
+const MAX_SIDE: usize = 32_768;
+/// A lens whose field of view has a smaller radius, in shorter sides of its picture, is none.
+const LEAST_EDGE: f64 = 0.05;
+/// Lenses that look less far apart look the same way, degrees.
+const LEAST_APART: f64 = 90.0;
 
 /// A calibrated dual-fisheye camera, as its JSON file has it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -154,7 +295,7 @@ impl Calibration {
         if found.version != 1 {
             return Err(parse(format!("version is {}, expected 1", found.version)));
         }
-        found.check()?;
+        found.check().map_err(|problem| problem.in_file(path))?;
         Ok(found)
     }
 
@@ -164,31 +305,35 @@ impl Calibration {
     /// If one is not.
     pub fn check(&self) -> Result<(), CalibrationError> {
         for (lens, entry) in self.lenses.iter().enumerate() {
-            let rotation = DQuat::from_array(entry.lens_from_camera);
-            let reason = if entry.size.contains(&0) {
-                Some("its size is 0".into())
-            } else if !(rotation.is_finite() && (0.5..2.0).contains(&rotation.length())) {
-                Some("lens_from_camera is not a unit quaternion".into())
-            } else if !(entry.gain.is_finite() && entry.gain > 0.0) {
-                Some(format!("gain is {}, expected above 0", entry.gain))
-            } else if (0..=16).any(|i| {
-                let falloff = entry.falloff(f64::from(i) / 16.0);
-                !falloff.is_finite() || falloff < 0.05
-            }) {
-                Some("vignetting falls below 5 %".into())
-            } else {
-                entry.projection.problem()
-            };
-            if let Some(reason) = reason {
-                return Err(CalibrationError::Lens { lens, reason });
+            if let Some((field, reason)) = entry.problem() {
+                return Err(CalibrationError::Field {
+                    field: format!("lenses[{lens}].{field}"),
+                    reason,
+                });
             }
+        }
+        let [first, second] = self.axes();
+        let apart = first.angle_between(second).to_degrees();
+        if apart < LEAST_APART {
+            return Err(CalibrationError::Field {
+                field: "lenses[1].lens_from_camera".into(),
+                reason: format!(
+                    "has the lens look {apart:.0}° from where lenses[0] does, expected about 180°"
+                ),
+            });
         }
         self.response
             .check()
-            .map_err(|reason| CalibrationError::Lens {
-                lens: 0,
-                reason: format!("response: {reason}"),
+            .map_err(|reason| CalibrationError::Field {
+                field: "response".into(),
+                reason,
             })
+    }
+
+    /// Where the lenses look, in the camera's frame.
+    pub(super) fn axes(&self) -> [DVec3; 2] {
+        let axis = |lens: &Lens| lens.rotation().transpose() * DVec3::Z;
+        self.lenses.each_ref().map(axis)
     }
 
     /// The calibration for pictures of these sizes: the same shape, at any scale.
@@ -200,7 +345,8 @@ impl Calibration {
         for (lens, (entry, found)) in out.lenses.iter_mut().zip(sizes).enumerate() {
             let factor = found[0] as f64 / entry.size[0] as f64;
             let height = entry.size[1] as f64 * factor;
-            if found.contains(&0) || (height - found[1] as f64).abs() > 1.0 {
+            let alike = (height - found[1] as f64).abs() <= 1.0;
+            if found.contains(&0) || !alike {
                 return Err(CalibrationError::Size {
                     lens,
                     expected: entry.size,
@@ -223,7 +369,7 @@ impl Calibration {
     /// `camera_matrix` is K, row major; `distortion` is D, k₁ … k₄.
     ///
     /// # Errors
-    /// If K has skew beyond a pixel, or makes an impossible lens.
+    /// If K is no camera matrix, has skew beyond a pixel, or makes an impossible lens.
     pub fn from_opencv_fisheye(
         lenses: [([[f64; 3]; 3], [f64; 4]); 2],
         size: [usize; 2],
@@ -231,8 +377,13 @@ impl Calibration {
     ) -> Result<Self, CalibrationError> {
         let mut out = Self::nominal(size, fov_deg);
         for (entry, (camera_matrix, k)) in out.lenses.iter_mut().zip(lenses) {
-            let [[fx, skew, cx], [_, fy, cy], _] = camera_matrix;
-            if skew.abs() > 1.0 {
+            let [[fx, skew, cx], [shear, fy, cy], last] = camera_matrix;
+            if shear != 0.0 || last != [0.0, 0.0, 1.0] {
+                return Err(CalibrationError::Import(format!(
+                    "the camera matrix is {camera_matrix:?}; expected [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], row by row"
+                )));
+            }
+            if skew.is_nan() || skew.abs() > 1.0 {
                 return Err(CalibrationError::Import(format!(
                     "the camera matrix has a skew of {skew} pixels; calibrate with CALIB_FIX_SKEW"
                 )));
@@ -260,20 +411,30 @@ impl Calibration {
     /// If it has another number of fields, or makes an impossible lens.
     pub fn from_insta360_offset(text: &str) -> Result<Self, CalibrationError> {
         let import = |reason: String| CalibrationError::Import(format!("offset string: {reason}"));
+        let number = |(i, field): (usize, &str)| match field.parse::<f64>() {
+            Ok(value) if value.is_finite() => Ok(value),
+            _ => Err(import(format!(
+                "field {} is {field:?}, expected a number",
+                i + 1
+            ))),
+        };
         let fields: Vec<f64> = text
             .trim()
             .split('_')
-            .map(|field| field.parse::<f64>())
-            .collect::<Result<_, _>>()
-            .map_err(|error| import(format!("a field is not a number ({error})")))?;
+            .enumerate()
+            .map(number)
+            .collect::<Result<_, _>>()?;
         if fields.first() != Some(&2.0) {
             return Err(import("it does not begin with 2, for two lenses".into()));
         }
         let size = |w: f64, h: f64| -> Result<[usize; 2], CalibrationError> {
-            if (1.0..=65536.0).contains(&w) && (1.0..=65536.0).contains(&h) {
+            let sides = 1.0..=MAX_SIDE as f64;
+            if sides.contains(&w) && sides.contains(&h) {
                 Ok([w as usize, h as usize])
             } else {
-                Err(import(format!("a picture of {w} × {h} pixels")))
+                Err(import(format!(
+                    "a picture of {w} × {h} pixels, expected 1 … {MAX_SIDE}"
+                )))
             }
         };
         let turn = |yaw: f64, pitch: f64, roll: f64| {
@@ -326,7 +487,7 @@ impl Calibration {
                 body.len()
             )));
         }
-        out.check()?;
+        out.check().map_err(|problem| import(problem.to_string()))?;
         Ok(out)
     }
 }
@@ -337,91 +498,4 @@ pub(crate) fn to_lens(rotation: DMat3, direction: DVec3) -> DVec3 {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::lens::Projection;
-
-    #[test]
-    fn front_and_back_look_ahead_and_behind_with_up_up() {
-        let camera = Calibration::nominal([1000, 1000], 190.0);
-        let pixel = |lens: usize, direction: DVec3| {
-            let lens = &camera.lenses[lens];
-            lens.projection.project(to_lens(lens.rotation(), direction))
-        };
-        let middle = glam::DVec2::splat(500.0);
-        assert!((pixel(0, DVec3::NEG_Z).unwrap() - middle).length() < 1e-6);
-        assert!((pixel(1, DVec3::Z).unwrap() - middle).length() < 1e-6);
-        assert!(pixel(0, DVec3::Z).is_none());
-        // Up is up in both pictures; the right of the scene is right ahead and left behind.
-        let (up, right) = (
-            DVec3::new(0.0, 0.5, -1.0).normalize(),
-            DVec3::new(0.5, 0.0, -1.0),
-        );
-        assert!(pixel(0, up).unwrap().y < 400.0);
-        assert!(pixel(0, right.normalize()).unwrap().x > 600.0);
-        let behind = DVec3::new(0.5, 0.5, 1.0).normalize();
-        assert!(pixel(1, behind).unwrap().x < 400.0 && pixel(1, behind).unwrap().y < 400.0);
-    }
-
-    #[test]
-    fn files_round_trip_and_say_what_is_wrong() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("camera.json");
-        let camera = Calibration::nominal([1440, 1440], 195.0);
-        std::fs::write(&path, camera.to_json()).unwrap();
-        assert_eq!(Calibration::load(&path).unwrap(), camera);
-        let broken = camera.to_json().replacen("\"focal\"", "\"fokal\"", 1);
-        std::fs::write(&path, broken).unwrap();
-        let message = Calibration::load(&path).unwrap_err().to_string();
-        assert!(
-            message.contains("camera.json") && message.contains("fokal"),
-            "{message}"
-        );
-        let half = camera.for_sizes([[720, 720]; 2]).unwrap();
-        assert_eq!(
-            half.lenses[0].projection.centre(),
-            glam::DVec2::splat(360.0)
-        );
-        let message = camera.for_sizes([[720, 700]; 2]).unwrap_err().to_string();
-        assert!(
-            message.contains("[1440, 1440]") && message.contains("[720, 700]"),
-            "{message}"
-        );
-    }
-
-    #[test]
-    fn opencv_parameters_are_imported_at_its_pixel_centres() {
-        let matrix = [[410.0, 0.0, 719.5], [0.0, 411.0, 720.5], [0.0, 0.0, 1.0]];
-        let lens = (matrix, [0.01, -0.002, 0.0, 0.0]);
-        let camera = Calibration::from_opencv_fisheye([lens, lens], [1440; 2], 190.0).unwrap();
-        let found = &camera.lenses[0].projection;
-        assert_eq!(found.centre(), glam::DVec2::new(720.0, 721.0));
-        // OpenCV: θ_d = θ(1 + k₁θ² + k₂θ⁴), u = fx·θ_d + cx.
-        let theta = 1.0_f64;
-        let pixel = found
-            .project(DVec3::new(theta.sin(), 0.0, theta.cos()))
-            .unwrap();
-        assert!((pixel.x - (410.0 * 1.008 + 720.0)).abs() < 1e-9, "{pixel}");
-        let skewed = ([[410.0, 5.0, 0.0], matrix[1], matrix[2]], lens.1);
-        assert!(Calibration::from_opencv_fisheye([skewed, lens], [1440; 2], 190.0).is_err());
-    }
-
-    #[test]
-    fn offset_strings_are_imported_or_refused() {
-        let lens = "2_1100.0_1101.0_720_721_0_0_0_0_0_0_0.1_0.01_0_0.001_0.002_1440_1440_113";
-        let camera = Calibration::from_insta360_offset(&format!("2_{lens}_{lens}")).unwrap();
-        let LensModel::Mei { xi, focal, p, .. } = camera.lenses[1].projection else {
-            panic!("the long form is Mei's model");
-        };
-        assert_eq!((xi, focal, p), (2.0, [1100.0, 1101.0], [0.001, 0.002]));
-        let short = "2_700_720_720_0_0_0_700_2160_720_0_0_0_2880_1440_2";
-        let camera = Calibration::from_insta360_offset(short).unwrap();
-        assert_eq!(
-            camera.lenses[1].projection.centre(),
-            glam::DVec2::splat(720.0)
-        );
-        for wrong in ["", "2_1_2", "3_1", "2_a", &format!("2_{lens}")] {
-            assert!(Calibration::from_insta360_offset(wrong).is_err(), "{wrong}");
-        }
-    }
-}
+mod tests;

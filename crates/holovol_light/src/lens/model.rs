@@ -74,6 +74,26 @@ fn identity() -> [f64; 3] {
     [1.0, 0.0, 0.0]
 }
 
+/// No camera's parameter is as large.
+const LARGEST: f64 = 1e9;
+/// Ways from the axis outward along which a lens is looked over.
+const HEADINGS: u32 = 16;
+
+/// Σ aᵢ·xⁱ.
+fn polynomial_at(coefficients: &[f64], x: f64) -> f64 {
+    coefficients.iter().rev().fold(0.0, |sum, a| sum * x + a)
+}
+
+/// The direction at an angle from the axis, toward one of [`HEADINGS`].
+fn towards(angle: f64, heading: u32) -> DVec3 {
+    let heading = f64::from(heading) / f64::from(HEADINGS) * 2.0 * PI;
+    DVec3::new(
+        angle.sin() * heading.cos(),
+        angle.sin() * heading.sin(),
+        angle.cos(),
+    )
+}
+
 impl LensModel {
     /// Full field of view in degrees, as calibrated.
     pub fn fov_deg(&self) -> f64 {
@@ -95,60 +115,126 @@ impl LensModel {
         }
     }
 
-    /// What is impossible about its parameters, if anything.
-    pub fn problem(&self) -> Option<String> {
-        let numbers: Vec<f64> = match self {
-            Self::Equidistant { focal, .. } => vec![*focal],
-            Self::KannalaBrandt { focal, k, .. } => [&focal[..], &k[..]].concat(),
+    /// Its fields that hold numbers, by name.
+    fn fields(&self) -> Vec<(&'static str, &[f64])> {
+        use std::slice::from_ref;
+        let mut fields = match self {
+            Self::Equidistant { focal, .. } => vec![("focal", from_ref(focal))],
+            Self::KannalaBrandt { focal, k, .. } => vec![("focal", &focal[..]), ("k", k)],
             Self::Mei {
                 xi, focal, k, p, ..
-            } => [&[*xi], &focal[..], &k[..], &p[..]].concat(),
+            } => vec![("xi", from_ref(xi)), ("focal", focal), ("k", k), ("p", p)],
             Self::OCam {
                 polynomial, affine, ..
-            } => [&polynomial[..], &affine[..]].concat(),
+            } => vec![("polynomial", &polynomial[..]), ("affine", affine)],
         };
-        let fov = self.fov_deg();
-        if !numbers.iter().all(|n| n.is_finite()) || !self.centre().is_finite() {
-            return Some("a parameter is not a finite number".into());
+        let (Self::Equidistant {
+            centre, fov_deg, ..
         }
-        if !(fov > 0.0 && fov <= 360.0) {
-            return Some(format!(
-                "fov_deg is {fov}, expected above 0 and at most 360"
-            ));
+        | Self::KannalaBrandt {
+            centre, fov_deg, ..
         }
-        let positive = match self {
-            Self::Equidistant { focal, .. } => *focal > 0.0,
-            Self::KannalaBrandt { focal, .. } => focal.iter().all(|&f| f > 0.0),
-            Self::Mei { xi, focal, .. } => *xi >= 0.0 && focal.iter().all(|&f| f > 0.0),
-            Self::OCam { polynomial, .. } => polynomial.len() >= 2,
-        };
-        if !positive {
-            return Some(
-                "focal lengths must be above 0, xi at least 0, and a polynomial needs two terms"
-                    .into(),
-            );
+        | Self::Mei {
+            centre, fov_deg, ..
         }
-        // A picture in which a larger angle lies further in can't be looked up.
-        let mut last = -1.0;
-        for i in 0..=64 {
-            let angle = self.max_angle() * f64::from(i) / 64.0;
-            let radius = self.radius_of(angle);
-            if radius.is_nan() || radius <= last {
-                return Some(format!(
-                    "the lens folds at {:.1}° from its axis; its fov_deg must end before",
-                    angle.to_degrees()
+        | Self::OCam {
+            centre, fov_deg, ..
+        }) = self;
+        fields.extend([("centre", &centre[..]), ("fov_deg", from_ref(fov_deg))]);
+        fields
+    }
+
+    /// What is impossible about its parameters, if anything: the field, and what is wrong with it.
+    pub fn problem(&self) -> Option<(&'static str, String)> {
+        for (name, numbers) in self.fields() {
+            let (valid, expected) = match name {
+                "focal" => (
+                    numbers.iter().all(|&f| f > 0.0 && f <= LARGEST),
+                    "above 0, in pixels",
+                ),
+                "fov_deg" => (
+                    numbers.iter().all(|&f| f > 0.0 && f <= 360.0),
+                    "above 0 and at most 360",
+                ),
+                "xi" => (numbers.iter().all(|&xi| xi >= 0.0), "0 and more"),
+                "polynomial" => (numbers.len() >= 2, "two terms and more"),
+                // A determinant of 0 flattens the picture.
+                "affine" => (
+                    matches!(numbers, [c, d, e] if c - d * e > 0.01),
+                    "about [1, 0, 0]",
+                ),
+                _ => (true, ""),
+            };
+            if !valid {
+                return Some((name, format!("is {numbers:?}, expected {expected}")));
+            }
+            if !numbers.iter().all(|n| n.abs() <= LARGEST) {
+                return Some((
+                    name,
+                    format!("is {numbers:?}, expected numbers within ±{LARGEST:e}"),
                 ));
             }
-            last = radius;
+        }
+        if let Self::OCam { polynomial, .. } = self
+            && polynomial[0].abs() > 0.02 * polynomial_at(polynomial, self.max_angle()).abs()
+        {
+            return Some((
+                "polynomial",
+                format!(
+                    "is {polynomial:?}: the axis lies {} pixels off its own pixel, expected about 0; it is of the angle from the axis, not from the image plane",
+                    polynomial[0]
+                ),
+            ));
+        }
+        self.fold()
+    }
+
+    /// Where a larger angle does not lie further out, which can't be looked up.
+    fn fold(&self) -> Option<(&'static str, String)> {
+        for heading in 0..HEADINGS {
+            let mut last = -1.0;
+            for i in 0..=64 {
+                let angle = self.max_angle() * f64::from(i) / 64.0;
+                let pixel = self.project_unbounded(towards(angle, heading));
+                let radius = pixel.map_or(f64::NAN, |pixel| (pixel - self.centre()).length());
+                if radius.is_nan() || radius <= last {
+                    let end = angle.to_degrees();
+                    return Some((
+                        "fov_deg",
+                        format!(
+                            "is {}, but by its other numbers the lens folds {end:.1}° from its axis (larger angles come nearer to the centre again); expected less than {:.0}, or other numbers",
+                            self.fov_deg(),
+                            2.0 * end
+                        ),
+                    ));
+                }
+                last = radius;
+            }
         }
         None
     }
 
-    /// Distance from the axis's pixel for an angle from the axis, across.
-    fn radius_of(&self, angle: f64) -> f64 {
-        let direction = DVec3::new(angle.sin(), 0.0, angle.cos());
-        let unbounded = self.project_unbounded(direction);
-        unbounded.map_or(f64::NAN, |pixel| (pixel - self.centre()).length())
+    /// How it maps its field of view to a picture: the share (by solid angle) that is on the
+    /// picture, and the radius of its edge in pixels, the least of all headings.
+    pub(super) fn on_picture(&self, [width, height]: [usize; 2]) -> (f64, f64) {
+        const RINGS: u32 = 32;
+        let (mut inside, mut all, mut edge) = (0.0, 0.0, f64::INFINITY);
+        for heading in 0..HEADINGS {
+            for ring in 0..=RINGS {
+                let angle = self.max_angle() * f64::from(ring) / f64::from(RINGS);
+                let Some(pixel) = self.project_unbounded(towards(angle, heading)) else {
+                    continue;
+                };
+                let on = (0.0..=width as f64).contains(&pixel.x)
+                    && (0.0..=height as f64).contains(&pixel.y);
+                all += angle.sin();
+                inside += angle.sin() * f64::from(u8::from(on));
+                if ring == RINGS {
+                    edge = edge.min((pixel - self.centre()).length());
+                }
+            }
+        }
+        (inside / all, edge)
     }
 
     /// The same lens on a picture of another size.
@@ -219,7 +305,7 @@ impl LensModel {
                 affine: [c, d, e],
                 ..
             } => {
-                let radius = polynomial.iter().rev().fold(0.0, |sum, a| sum * angle + a);
+                let radius = polynomial_at(polynomial, angle);
                 let DVec2 { x, y } = heading * radius;
                 Some(DVec2::from_array(*centre) + DVec2::new(c * x + d * y, e * x + y))
             }
@@ -321,12 +407,42 @@ mod tests {
             k: [-0.4, 0.0, 0.0, 0.0],
             fov_deg: 190.0,
         };
-        assert!(lens.problem().unwrap().contains("folds"));
-        let lens = LensModel::Equidistant {
-            focal: f64::NAN,
-            centre: [0.0; 2],
+        let (field, reason) = lens.problem().unwrap();
+        assert!(field == "fov_deg" && reason.contains("folds"), "{reason}");
+        for focal in [f64::NAN, f64::INFINITY, -300.0, 0.0, 1e300] {
+            let lens = LensModel::Equidistant {
+                focal,
+                centre: [0.0; 2],
+                fov_deg: 190.0,
+            };
+            let (field, reason) = lens.problem().unwrap();
+            assert_eq!(field, "focal", "{reason}");
+        }
+        // Each folds or flattens along headings other than across.
+        let tall = LensModel::Mei {
+            xi: 1.0,
+            focal: [300.0; 2],
+            centre: [500.0; 2],
+            k: [0.0; 3],
+            p: [0.4, 0.0],
             fov_deg: 190.0,
         };
-        assert!(lens.problem().is_some());
+        assert_eq!(tall.problem().unwrap().0, "fov_deg");
+        let flat = LensModel::OCam {
+            polynomial: vec![0.0, 300.0],
+            centre: [500.0; 2],
+            affine: [1.0, 1.0, 1.0],
+            fov_deg: 190.0,
+        };
+        assert_eq!(flat.problem().unwrap().0, "affine");
+        // The polynomial as Scaramuzza's toolbox has it, of the angle from the image plane.
+        let turned = LensModel::OCam {
+            polynomial: vec![500.0, 300.0],
+            centre: [500.0; 2],
+            affine: identity(),
+            fov_deg: 190.0,
+        };
+        let (field, reason) = turned.problem().unwrap();
+        assert!(field == "polynomial" && reason.contains("axis"), "{reason}");
     }
 }

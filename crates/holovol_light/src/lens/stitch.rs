@@ -98,6 +98,7 @@ pub struct Stitcher {
     strides: [usize; 2],
     lengths: [usize; 2],
     rows: Vec<Row>,
+    unseen: f64,
     per_part: usize,
     /// Directions that both lenses see well, for the gains: a tap in each, with weights that
     /// correct vignetting only.
@@ -114,7 +115,7 @@ impl Stitcher {
     /// `world_from_camera`.
     ///
     /// # Errors
-    /// If the calibration is impossible, or the panorama too wide.
+    /// If the calibration is impossible, its lenses see nothing, or the panorama is too wide.
     pub fn new(
         calibration: &Calibration,
         width: usize,
@@ -131,7 +132,7 @@ impl Stitcher {
         let grid = Grid::new(width.max(1), height.max(1));
         let camera_from_world = world_from_camera.transpose();
         let rotations = calibration.lenses.each_ref().map(|lens| lens.rotation());
-        let axes = rotations.map(|rotation| rotation.transpose() * DVec3::Z);
+        let axes = calibration.axes();
         let reach = calibration
             .lenses
             .each_ref()
@@ -160,17 +161,16 @@ impl Stitcher {
                     camera_from_world * crate::EnvironmentMap::direction_from_uv(uv)
                 };
                 let middle = at(0.5, 0.5);
-                let blend = blend(middle, axes, reach);
+                let found = [0, 1].map(|l| {
+                    let lens = &calibration.lenses[l];
+                    let pixel = lens.projection.project(to_lens(rotations[l], middle))?;
+                    Some((pixel, place(pixel, lens.size)?))
+                });
+                let blend = blend(middle, axes, reach, found.map(|place| place.is_some()));
                 for l in 0..2 {
                     let lens = &calibration.lenses[l];
-                    let find = |direction: DVec3| {
-                        let pixel = lens.projection.project(to_lens(rotations[l], direction))?;
-                        Some((pixel, place(pixel, lens.size)?))
-                    };
-                    if blend[l] <= 0.0 {
-                        continue;
-                    }
-                    let Some((pixel, (index, fraction))) = find(middle) else {
+                    let Some((pixel, (index, fraction))) = found[l].filter(|_| blend[l] > 0.0)
+                    else {
                         continue;
                     };
                     let rho = (pixel - lens.projection.centre()).length() / edges[l];
@@ -196,6 +196,13 @@ impl Stitcher {
             }
             row
         };
+        let rows: Vec<Row> = (0..grid.height()).into_par_iter().map(build).collect();
+        let unseen = unseen(&grid, &rows);
+        if unseen >= 1.0 {
+            return Err(CalibrationError::Overlap(
+                "no direction of the panorama falls on a picture; expected pictures of 2 × 2 pixels and more, and lenses of a wide field of view".into(),
+            ));
+        }
         let table = calibration.response.table();
         let mut flagged = table;
         for table in &mut flagged {
@@ -211,7 +218,8 @@ impl Stitcher {
                 .lenses
                 .each_ref()
                 .map(|lens| lens.size[0] * lens.size[1]),
-            rows: (0..grid.height()).into_par_iter().map(build).collect(),
+            rows,
+            unseen,
             per_part,
             overlap: overlap_taps(calibration, axes, reach),
             table,
@@ -224,6 +232,11 @@ impl Stitcher {
     /// Width and height of the panorama.
     pub fn size(&self) -> [usize; 2] {
         [self.width, self.height]
+    }
+
+    /// Share of the sphere that neither lens sees, 0 … 1: it is black in the panorama.
+    pub fn unseen(&self) -> f64 {
+        self.unseen
     }
 
     /// The lenses' gains, found from the overlaps so far.
@@ -371,6 +384,19 @@ impl Stitcher {
     }
 }
 
+/// Share of the sphere of the texels without a part.
+fn unseen(grid: &Grid, rows: &[Row]) -> f64 {
+    let (mut seen, mut all) = (0.0, 0.0);
+    for (y, row) in rows.iter().enumerate() {
+        // The parts of a texel follow each other.
+        let texels = row.parts.chunk_by(|a, b| a.column == b.column).count();
+        let solid_angle = f64::from(grid.solid_angle(y));
+        seen += solid_angle * texels as f64;
+        all += solid_angle * grid.width() as f64;
+    }
+    1.0 - seen / all
+}
+
 /// Directions spread over the overlap, where each lens finds them.
 fn overlap_taps(calibration: &Calibration, axes: [DVec3; 2], reach: [f64; 2]) -> Vec<[Tap; 2]> {
     crate::measure::normals(OVERLAP_SAMPLES)
@@ -408,12 +434,13 @@ pub(super) fn edge_radius(lens: &super::Lens) -> f64 {
     })
 }
 
-/// Weights of the lenses for a direction of the camera: smooth across the seam, 1 in all.
-fn blend(direction: DVec3, axes: [DVec3; 2], reach: [f64; 2]) -> [f64; 2] {
+/// Weights of the lenses for a direction of the camera: smooth across the seam, 1 in all; a lens
+/// on whose picture the direction is not has none.
+fn blend(direction: DVec3, axes: [DVec3; 2], reach: [f64; 2], on_picture: [bool; 2]) -> [f64; 2] {
     let angles = axes.map(|axis| axis.angle_between(direction));
     // Half the overlap's width bounds the feather.
     let margin = [reach[0] - angles[0], reach[1] - angles[1]];
-    match margin.map(|m| m > 0.0) {
+    match [0, 1].map(|l| margin[l] > 0.0 && on_picture[l]) {
         [true, false] => [1.0, 0.0],
         [false, true] => [0.0, 1.0],
         [false, false] => [0.0, 0.0],
@@ -453,3 +480,6 @@ fn place_nearest(pixel: DVec2, [width, height]: [usize; 2]) -> Option<u32> {
         pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < width as f64 && pixel.y < height as f64;
     inside.then(|| (pixel.x as usize + width * pixel.y as usize) as u32)
 }
+
+#[cfg(test)]
+mod tests;
