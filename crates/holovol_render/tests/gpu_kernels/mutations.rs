@@ -216,6 +216,12 @@ pub const MUTATIONS: &[Caught] = &[
     ),
     caught(
         DENOISE,
+        "TURN_LOSS * turn * turn",
+        "TURN_LOSS * turn",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
         "let seen = NEAR_SEEN * (a.y + b.y);",
         "let seen = NEAR_SEEN * a.y;",
         denoise_twins::holovol,

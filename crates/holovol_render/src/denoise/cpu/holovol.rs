@@ -17,6 +17,7 @@ const BRIGHTEST: f32 = 1e12;
 const PAYS: f32 = 0.9;
 const NARROWER: [f32; 2] = [0.5, 16.0];
 const MOST_STRICT: f32 = 8.0;
+const TURN_LOSS: f32 = 20.0;
 const EDIT: [f32; 2] = [0.05, 0.5];
 const PAIR: u32 = 2;
 const SLOPE_PRIOR: f32 = 0.1;
@@ -179,6 +180,7 @@ impl Memory {
             let gain = self.eye(eye).history[3] * self.light_gain(eye, position);
             let bounds = [self.pixel_size(eye), strictness];
             before = self.fetch(turned, there, last, bounds, gain);
+            before.frames /= 1.0 + TURN_LOSS * turn * turn * before.frames;
         }
         let [most, factor, change, _] = self.eye(eye).history;
         before.frames = (before.frames * factor).min(most);

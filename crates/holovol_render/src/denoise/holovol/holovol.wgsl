@@ -24,6 +24,9 @@ const PAYS: f32 = 0.9;
 const NARROWER: vec2<f32> = vec2<f32>(0.5, 16.0);
 // Guides of the last frame need not agree more than so many times as much.
 const MOST_STRICT: f32 = 8.0;
+// Of the history's frames, times them and the square of the angle that a place turned by: its light
+// turns with the normal, the gloss with the view, and errors add up over frames.
+const TURN_LOSS: f32 = 20.0;
 // T from which, and from where fully, history counts by how well it fits.
 const EDIT: vec2<f32> = vec2<f32>(0.05, 0.5);
 // Pixels between two whose differences tell how bright the dominant source is, and what sums of
@@ -244,6 +247,7 @@ fn history_of(eye: u32, position: vec2<u32>, pixel: u32) -> Fetched {
             // The tiles' last word on it; new ones come after this.
             let gain = denoise.eyes[eye].history.w * light_gain(eye, position);
             before = fetch(turned, there, last, denoise.eyes[eye].turn_x.w, strictness, gain);
+            before.frames /= 1.0 + TURN_LOSS * turn * turn * before.frames;
         }
     }
     before.frames = min(before.frames * denoise.eyes[eye].history.y, denoise.eyes[eye].history.x);
