@@ -291,13 +291,27 @@ fn what_can_not_be_read_or_does_not_fit_is_told() {
     JpegEncoder::new(&mut jpeg)
         .encode_image(&room(0.0))
         .unwrap();
-    bench.write("cut.jpg", &jpeg[..jpeg.len() / 3]);
     let out = ["--out", "env.exr"];
     let args = |more: &[&'static str]| -> Vec<&'static str> {
         ["light"].iter().chain(more).chain(&out).copied().collect()
     };
     refused(&bench, &args(&["--ldr", "cut.png"]), 3, &["cut.png"]);
-    refused(&bench, &args(&["--ldr", "cut.jpg"]), 3, &["cut.jpg"]);
+    // It ends in its header, before its last rows, within the last one, or without an end marker.
+    let whole = jpeg.len();
+    for left in [whole / 3, whole * 9 / 10, whole - 8, whole - 2] {
+        bench.write("cut.jpg", &jpeg[..left]);
+        refused(&bench, &args(&["--ldr", "cut.jpg"]), 3, &["cut.jpg"]);
+    }
+    // Another frame's header in the middle of what is coded.
+    let middle = whole * 3 / 4;
+    jpeg[middle..middle + 4].copy_from_slice(&[0xff, 0xc0, 0xff, 0xc0]);
+    bench.write("cut.jpg", &jpeg);
+    refused(
+        &bench,
+        &args(&["--ldr", "cut.jpg"]),
+        3,
+        &["cut.jpg", "damaged"],
+    );
     refused(
         &bench,
         &args(&["--ldr", "text.png"]),

@@ -8,6 +8,7 @@ use holovol_light::response::Response;
 use holovol_light::{EnvironmentMap, xmp};
 use image::{ColorType, ImageDecoder, ImageReader};
 
+use super::jpeg;
 use crate::{Exit, Failure};
 
 /// A picture, linear, 1 where it clips.
@@ -147,6 +148,12 @@ fn codes(path: &Path, bytes: &[u8]) -> Result<Codes, Failure> {
         return Err(input(
             path,
             format!("{width} × {height} pixels; expected 1 × 1 to {limit} × {limit}"),
+        ));
+    }
+    if let Some(flaw) = jpeg::flaw(bytes) {
+        return Err(input(
+            path,
+            format!("the JPEG is damaged or breaks off ({flaw}); copy or export it again"),
         ));
     }
     let deep = matches!(

@@ -1,6 +1,7 @@
 //! `holovol light`: LDR panoramas to HDR light.
 
 pub(crate) mod input;
+mod jpeg;
 #[cfg(feature = "preview")]
 mod panorama;
 pub(crate) mod preview;
