@@ -71,7 +71,7 @@ pub(super) fn doubt(doubt: &Doubt, names: &Names) -> String {
             "{} has no colours, so that a sun is not told from a lamp; if it shows one, there is about {sun_ev:.1} EV more light",
             name(0)
         ),
-        Doubt::Black => format!(
+        Doubt::Black { .. } => format!(
             "{} is black, or nearly so: next to nothing can be told of its light; expose more",
             name(0)
         ),

@@ -53,7 +53,10 @@ pub enum Doubt {
         sun_ev: f64,
     },
     /// The picture is darker than what it could tell from black.
-    Black,
+    Black {
+        /// How much darker in the mean, EV.
+        below_ev: f64,
+    },
 }
 
 /// Standard deviations from which on evidence contradicts: meters and probes that are right were
@@ -72,9 +75,9 @@ const BRIGHTEST: f32 = 0.9;
 /// log₂ of the factor by which exposures that saw the same don't differ, and the share of what
 /// both can tell above which they contradict each other.
 const DIFFERENT: f32 = 0.585;
-const CONTRADICTS: f32 = 0.5;
+const CONTRADICTS: f32 = 0.45;
 /// Share of the picture that both have to tell something of.
-const TOLD: f32 = 0.002;
+const TOLD: f32 = 0.01;
 /// Exposures are believed to be this exact in the middle, EV.
 const EXACT: f64 = 0.2;
 /// Share of what is told that has to be within the range of both for its median to count alone.
@@ -105,23 +108,20 @@ impl Difference {
             let row = y * width..(y + 1) * width;
             let pairs = bright.radiance[row.clone()].iter().zip(&dark.radiance[row]);
             for (a, b) in pairs.step_by(step) {
-                for c in 0..3 {
-                    // What is above or below the range of one is compared with its end.
-                    let [a, b] = [a[c], times * b[c]].map(|v| v.max(least).min(BRIGHTEST));
-                    if a == b {
-                        continue;
-                    }
-                    let ev = (b / a).log2();
-                    told += grid.solid_angle(y);
-                    if ev.abs() > DIFFERENT {
-                        different += grid.solid_angle(y);
-                    }
-                    let is_end = |v: f32| v == least || v == BRIGHTEST;
-                    let clear = !is_end(a) && !is_end(b);
-                    within += if clear { grid.solid_angle(y) } else { 0.0 };
-                    let bin = (10.0 * ev + 0.5 * BINS as f32) as usize;
-                    bins[usize::from(!clear)][bin.min(BINS - 1)] += grid.solid_angle(y);
+                // Green says enough. What is out of range of one is compared with the range's end.
+                let [a, b] = [a[1], times * b[1]].map(|v| v.max(least).min(BRIGHTEST));
+                if a == b {
+                    continue;
                 }
+                let ev = (b / a).log2();
+                let weight = grid.solid_angle(y);
+                told += weight;
+                different += if ev.abs() > DIFFERENT { weight } else { 0.0 };
+                let is_end = |v: f32| v == least || v == BRIGHTEST;
+                let clear = !is_end(a) && !is_end(b);
+                within += if clear { weight } else { 0.0 };
+                let bin = (10.0 * ev + 0.5 * BINS as f32) as usize;
+                bins[usize::from(!clear)][bin.min(BINS - 1)] += weight;
             }
         }
         let [inner, outer] = bins;
@@ -138,7 +138,7 @@ impl Difference {
         let bin = middle.unwrap_or(BINS / 2) as f64 + 0.5;
         let all: f32 = (0..grid.height())
             .step_by(step)
-            .map(|y| grid.solid_angle(y) * 3.0 * width.div_ceil(step) as f32)
+            .map(|y| grid.solid_angle(y) * width.div_ceil(step) as f32)
             .sum();
         Some(Self {
             off_ev: 0.1 * (bin - 0.5 * BINS as f64),
@@ -192,12 +192,14 @@ impl Estimator {
         }
     }
 
-    /// Doubts about the picture itself, once its lights are measured: `missed_sun` is what a sun
-    /// would give that the picture could not show to be one.
-    pub(super) fn doubt_picture(&mut self, missed_sun: f64) {
-        let flux = self.flux();
-        if flux < 4.0 * PI * f64::from(FLOOR * self.base) {
-            self.doubts.push(Doubt::Black);
+    /// Doubts about the picture itself, once its lights are measured: `flux` is all light's,
+    /// `missed_sun` what a sun would give that the picture could not show to be one.
+    pub(super) fn doubt_picture(&mut self, flux: f64, missed_sun: f64) {
+        let least = 4.0 * PI * f64::from(FLOOR * self.base);
+        if flux < least {
+            self.doubts.push(Doubt::Black {
+                below_ev: (least / flux.max(1e-9 * least)).log2(),
+            });
         }
         // What is measured counts the sun, whatever it is taken for.
         if missed_sun > 0.0 && matches!(self.rung, Rung::Single | Rung::Bracket) {
@@ -208,7 +210,6 @@ impl Estimator {
 
     /// One standard deviation of all light for what speaks against the estimate, EV.
     pub(super) fn doubt_ev(&self) -> f64 {
-        let seen = self.flux() / (4.0 * PI * f64::from(self.base));
         let ev = |doubt: &Doubt| match *doubt {
             Doubt::Frame {
                 off_ev,
@@ -228,7 +229,7 @@ impl Estimator {
                 ..
             } => off_ev.abs() * (1.0 - DOUBTED / spreads.max(1e-9)),
             Doubt::Colourless { sun_ev } => sun_ev,
-            Doubt::Black => (f64::from(FLOOR) / seen.max(1e-12)).log2(),
+            Doubt::Black { below_ev } => below_ev,
             _ => 0.0,
         };
         let square = |doubt| ev(doubt).clamp(0.0, MOST_DOUBT).powi(2);

@@ -237,8 +237,8 @@ impl Estimator {
             false => 0.0,
         };
         self.extend();
-        self.constrain(evidence, exposures);
-        self.doubt_picture(missed_sun);
+        let flux = self.constrain(evidence, exposures);
+        self.doubt_picture(flux, missed_sun);
         self.sigma_ev = self.sigma_ev.hypot(self.doubt_ev());
         self.resolve();
     }

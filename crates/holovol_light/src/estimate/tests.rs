@@ -330,7 +330,9 @@ fn exposures_that_contradict_the_first_are_not_believed() {
             (false, 0.0),
             "{name}"
         );
-        assert!(off_ev.abs() > 0.4, "{name}: {off_ev}");
+        // What is black, or another place, says nothing of the exposure.
+        let far = off_ev.abs() > 0.8 || ["another place", "a cap"].contains(&name);
+        assert!(far, "{name}: {off_ev}");
         assert_eq!(
             (flux, sigma, rung),
             (single.1, single.2, Rung::Single),
@@ -455,7 +457,7 @@ fn a_picture_without_colours_may_hide_a_sun() {
     assert_eq!(doubts, []);
     let (doubts, _, sigma, _) = doubted(&[(0.0, expose(|_| [1e-4; 3], 0.0))], None, None);
     assert!(
-        doubts == [Doubt::Black] && sigma > 1.0,
+        matches!(doubts[..], [Doubt::Black { .. }]) && sigma > 1.0,
         "{doubts:?} {sigma}"
     );
 }

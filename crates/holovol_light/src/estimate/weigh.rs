@@ -26,8 +26,9 @@ const UNSEEN: f64 = 1e-3;
 const MISFIT_SHARE: f64 = 0.05;
 
 impl Estimator {
-    /// Unknown strengths under what was measured; lights and map are scaled by the result.
-    pub(super) fn constrain(&mut self, evidence: &Evidence, exposures: usize) {
+    /// Unknown strengths under what was measured; lights and map are scaled by the result. Gives
+    /// the flux of all light.
+    pub(super) fn constrain(&mut self, evidence: &Evidence, exposures: usize) -> f64 {
         let count = self.lights.len().min(GROUPS);
         let beliefs = self.beliefs();
         let probe = evidence.probe.unwrap_or_default();
@@ -53,7 +54,8 @@ impl Estimator {
         };
         let found = by_probe.or(by_meter);
         let found = found.unwrap_or_else(|| constrain::posterior(&beliefs, &[]));
-        let after = self.flux().max(1e-12);
+        let flux = self.flux();
+        let after = flux.max(1e-12);
         let mut shares = [0.0; GROUPS];
         for (share, light) in shares.iter_mut().zip(&self.lights) {
             *share = luminance(light.irradiance) / after;
@@ -65,6 +67,7 @@ impl Estimator {
             }
         }
         self.sigma_ev = self.prior.sigma_scale[self.rung as usize] * variance.max(0.0).sqrt();
+        flux
     }
 
     /// The strengths that a meter asks for; none if it sees nothing, or asks for what can't be.
