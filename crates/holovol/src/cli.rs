@@ -378,7 +378,10 @@ pub struct DemoArgs {
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Radiance is in units in which 1 is where the first frame clips; its orientation is kept. Frames
-after the first say how much less light they let through: dark.png@-6 has 1/64 of it.
+after the first say how much less light they let through: dark.png@-6 has 1/64 of it. A picture
+with radiance above 1 (HDR or EXR) is HDR already: it is given alone, and passed through.
+
+Evidence that contradicts the rest is left out, or trusted less; notes and sigma_ev say so.
 
 On standard output comes one line of JSON, which --report writes too: rung (which evidence was
 used), sigma_ev (one standard deviation of all light, in EV), ceiling (radiance at which the

@@ -230,10 +230,12 @@ impl ChangeDetector {
         let frame = &mut self.frames[self.newest];
         let flux = &mut frame.flux;
         flux.fill(0.0);
+        let luminous = |[r, g, b]: [f32; 3]| 0.2126 * r + 0.7152 * g + 0.0722 * b;
         for (y, row) in texels.chunks_exact(width).take(height).enumerate() {
             let solid_angle = grid.solid_angle(y);
-            let cells = &mut flux[y * SIDE / height * SIDE..][..SIDE];
-            if width % SIDE == 0 {
+            let rows = covered(y, height);
+            if width % SIDE == 0 && rows.len() == 1 {
+                let cells = &mut flux[rows.start * SIDE..][..SIDE];
                 let per_cell = width / SIDE;
                 for (cell, texels) in cells.iter_mut().zip(row.chunks_exact(per_cell)) {
                     let mut sum = [0.0_f32; 3];
@@ -242,17 +244,22 @@ impl ChangeDetector {
                             sum[c] += texel[c];
                         }
                     }
-                    let sum = 0.2126 * sum[0] + 0.7152 * sum[1] + 0.0722 * sum[2];
-                    *cell += sum * solid_angle;
+                    *cell += luminous(sum) * solid_angle;
                 }
-            } else {
+                continue;
+            }
+            // Texels larger than cells shine from all that they cover.
+            let all: f32 = rows.clone().map(|y| self.cells.solid_angle(y)).sum();
+            for y in rows {
+                let cells = &mut flux[y * SIDE..][..SIDE];
+                let share = solid_angle * self.cells.solid_angle(y) / all;
                 for (x, texel) in row.iter().enumerate() {
-                    let l = 0.2126 * texel[0] + 0.7152 * texel[1] + 0.0722 * texel[2];
-                    cells[x * SIDE / width] += l * solid_angle;
+                    let columns = covered(x, width);
+                    let part = luminous(*texel) * share / columns.len() as f32;
+                    cells[columns].iter_mut().for_each(|cell| *cell += part);
                 }
             }
         }
-        // Maps smaller than the cells leave gaps, which are alike in every frame.
         for light in discs.iter().filter(|light| light.disc) {
             add_light(flux, light.direction, luminance(light.irradiance) as f32);
         }
@@ -366,6 +373,12 @@ fn patch_change(a: &Gathered, b: &Gathered, patch: usize) -> f32 {
     let means = C1 / ((a - b).powi(2) + C1);
     let structure = (2.0 * covariance + C2) / (va + vb + C2);
     (1.0 - means * structure.max(0.0)).max(0.0)
+}
+
+/// The cells across, or down, that the `i`th of `count` texels covers, or the one that it lies in.
+fn covered(i: usize, count: usize) -> std::ops::Range<usize> {
+    let start = i * SIDE / count;
+    start..((i + 1) * SIDE / count).max(start + 1)
 }
 
 /// Adds a disc light's flux to the four cells around it.

@@ -121,14 +121,17 @@ pub struct EnvironmentMap {
 impl EnvironmentMap {
     /// Largest width; the height may be half of it.
     pub const MAX_WIDTH: usize = 16384;
+    /// Largest radiance: what all texels of the largest map give together is a finite f32.
+    const LARGEST: f32 = f32::MAX / 1e6;
 
     /// A map of the same radiance from everywhere.
     pub fn constant(radiance: [f32; 3]) -> Self {
         Self::new(1, 1, vec![radiance])
     }
 
-    /// A map of row-major texels, top row first. Texels that are NaN or negative become 0,
-    /// infinite ones the largest finite number; [`Self::replaced`] counts them.
+    /// A map of row-major texels, top row first. Values that are NaN or negative become 0, those
+    /// that are infinite, or above 3.4 · 10³² so that sums would be, the largest of the others;
+    /// [`Self::replaced`] counts such texels.
     ///
     /// # Panics
     /// If `texels.len()` is not `width · height`, or that is 0.
@@ -137,13 +140,16 @@ impl EnvironmentMap {
             width * height == texels.len() && !texels.is_empty(),
             "one texel per pixel"
         );
-        let mut replaced = 0;
-        for texel in &mut texels {
-            if texel.iter().all(|&c| c >= 0.0 && c.is_finite()) {
-                continue;
+        let valid = |c: f32| (0.0..=Self::LARGEST).contains(&c);
+        let is_broken = |texel: &[f32; 3]| !texel.iter().all(|&c| valid(c));
+        let replaced = texels.iter().filter(|texel| is_broken(texel)).count();
+        if replaced > 0 {
+            let values = texels.as_flattened_mut();
+            let others = values.iter().copied().filter(|&c| valid(c));
+            let largest = others.fold(0.0, f32::max);
+            for c in values.iter_mut().filter(|c| !valid(**c)) {
+                *c = if *c > 0.0 { largest } else { 0.0 };
             }
-            replaced += 1;
-            *texel = texel.map(|c| if c >= 0.0 { c.min(f32::MAX / 1e6) } else { 0.0 });
         }
         Self {
             width,

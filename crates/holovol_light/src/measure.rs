@@ -31,6 +31,9 @@ impl FluxCells {
     /// # Panics
     /// If there are fewer texels than the grid has.
     pub fn from_texels(grid: &Grid, texels: &[[f32; 3]]) -> Self {
+        if let Some((grid, texels)) = refined(grid, texels, CELLS) {
+            return Self::from_texels(&grid, &texels);
+        }
         let mut cells = vec![[DVec3::ZERO; 3]; CELLS[0] * CELLS[1]];
         let (width, height) = (grid.width(), grid.height());
         for y in 0..height {
@@ -95,6 +98,23 @@ impl FluxCells {
         }
         Some(at)
     }
+}
+
+/// The map with texels cut into equal ones, if it has fewer than `least` across or down: a texel
+/// that is a large part of the sphere doesn't shine from its centre alone.
+fn refined(grid: &Grid, texels: &[[f32; 3]], least: [usize; 2]) -> Option<(Grid, Vec<[f32; 3]>)> {
+    let (width, height) = (grid.width(), grid.height());
+    let parts = [least[0].div_ceil(width), least[1].div_ceil(height)];
+    if parts == [1, 1] {
+        return None;
+    }
+    let fine = Grid::new(width * parts[0], height * parts[1]);
+    let texel = |i: usize| {
+        let (x, y) = (i % fine.width() / parts[0], i / fine.width() / parts[1]);
+        texels[x + width * y]
+    };
+    let cut = (0..fine.len()).map(texel).collect();
+    Some((fine, cut))
 }
 
 /// ∫ luminance dω over a map: four times the mean luminous irradiance over all normals.
@@ -213,6 +233,11 @@ impl Truth {
 /// Y₂₀ ∝ 3z² − 1, Y₂₁ ∝ xz, Y₂₂ ∝ x² − y² (Ramamoorthi and Hanrahan 2001, eq. 3), in the map's
 /// frame. Costs about five multiply-adds per texel and channel: sines are taken out row by row.
 pub fn spherical_harmonics(grid: &Grid, texels: &[[f32; 3]]) -> [[f32; 3]; 9] {
+    /// Maps of fewer texels are cut into finer ones first.
+    const FINE: [usize; 2] = [32, 16];
+    if let Some((grid, texels)) = refined(grid, texels, FINE) {
+        return spherical_harmonics(&grid, &texels);
+    }
     let width = grid.width();
     let mut sums = [[0.0_f64; 3]; 9];
     for (y, row) in texels.chunks_exact(width).take(grid.height()).enumerate() {
@@ -347,6 +372,27 @@ mod tests {
         for normal in normals(16) {
             let [e, ..] = cells.irradiance(normal);
             assert!((e / PI - 1.0).abs() < 2e-3, "{e}");
+        }
+    }
+
+    #[test]
+    fn a_map_of_one_texel_shines_from_all_over() {
+        for (width, height) in [(1, 1), (2, 1), (3, 2)] {
+            let (grid, texels) = (Grid::new(width, height), vec![[1.0; 3]; width * height]);
+            let cells = FluxCells::from_texels(&grid, &texels);
+            let sh = spherical_harmonics(&grid, &texels);
+            for normal in normals(16) {
+                let found = [
+                    cells.irradiance(normal),
+                    irradiance_from_spherical_harmonics(&sh, normal),
+                ];
+                for [e, ..] in found {
+                    assert!(
+                        (e / PI - 1.0).abs() < 0.01,
+                        "{width} × {height} {normal}: {e}"
+                    );
+                }
+            }
         }
     }
 

@@ -8,6 +8,7 @@ use holovol_light::response::Response;
 use holovol_light::{EnvironmentMap, xmp};
 use image::{ColorType, ImageDecoder, ImageReader};
 
+use super::jpeg;
 use crate::{Exit, Failure};
 
 /// A picture, linear, 1 where it clips.
@@ -23,6 +24,8 @@ pub(crate) struct Linear {
     pub(crate) is_linear: bool,
     /// Whether values above 1 are light rather than overflow.
     pub(crate) hdr: bool,
+    /// One standard deviation of all light for what it does not show of the sphere, EV.
+    pub(crate) unseen_sigma_ev: f64,
     /// What its user should know.
     pub(crate) notes: Vec<String>,
 }
@@ -62,6 +65,7 @@ pub(crate) fn linear(path: &Path, response: &Response) -> Result<Linear, Failure
             texels: map.texels().to_vec(),
             is_linear,
             hdr,
+            unseen_sigma_ev: 0.0,
             notes,
         });
     }
@@ -77,13 +81,24 @@ pub(crate) fn linear(path: &Path, response: &Response) -> Result<Linear, Failure
         .map(|texel| [0, 1, 2].map(|c| lookup(&curve[c], texel[c])))
         .collect();
     let (mut width, mut height) = (width, height);
-    let whole = xmp::photo_sphere(&bytes).and_then(|sphere| sphere.uncrop(width, height, &texels));
-    if let Some((whole_width, whole_height, whole)) = whole {
-        notes.push(format!(
-            "{}: covers part of the sphere as its metadata says; the rest repeats its edge",
+    let mut unseen_sigma_ev = 0.0;
+    let sphere = xmp::photo_sphere(&bytes).unwrap_or_default();
+    match sphere.uncrop(width, height, &texels) {
+        Ok(None) => {}
+        Ok(Some(whole)) => {
+            unseen_sigma_ev = whole.unseen_sigma_ev();
+            notes.push(format!(
+                "{}: its metadata says that it does not show {:.0} % of the sphere, {:.0} % of the upper half; that repeats its edge, and a light there would be missed",
+                path.display(),
+                100.0 * (whole.unseen[0] + whole.unseen[1]),
+                200.0 * whole.unseen[0],
+            ));
+            (width, height, texels) = (whole.width, whole.height, whole.texels);
+        }
+        Err(problem) => notes.push(format!(
+            "{}: its photo sphere metadata (GPano) can't be right: {problem}; taken for the whole sphere",
             path.display()
-        ));
-        (width, height, texels) = (whole_width, whole_height, whole);
+        )),
     }
     Ok(Linear {
         width,
@@ -91,6 +106,7 @@ pub(crate) fn linear(path: &Path, response: &Response) -> Result<Linear, Failure
         texels,
         is_linear,
         hdr: false,
+        unseen_sigma_ev,
         notes,
     })
 }
@@ -147,6 +163,12 @@ fn codes(path: &Path, bytes: &[u8]) -> Result<Codes, Failure> {
         return Err(input(
             path,
             format!("{width} × {height} pixels; expected 1 × 1 to {limit} × {limit}"),
+        ));
+    }
+    if let Some(flaw) = jpeg::flaw(bytes) {
+        return Err(input(
+            path,
+            format!("the JPEG is damaged or breaks off ({flaw}); copy or export it again"),
         ));
     }
     let deep = matches!(

@@ -1,6 +1,8 @@
 //! `holovol light`: LDR panoramas to HDR light.
 
 pub(crate) mod input;
+mod jpeg;
+mod notes;
 #[cfg(feature = "preview")]
 mod panorama;
 pub(crate) mod preview;
@@ -12,7 +14,8 @@ use std::time::Instant;
 
 use glam::DVec3;
 use holovol_light::estimate::{
-    Estimator, Evidence, Exposure, LightClass, Meter, Prior, ProbeSample,
+    Doubt, Estimator, Evidence, Exposure, LightClass, Meter, PROBE_DIRECTIONS, Prior, ProbeSample,
+    Rung, distinct_directions,
 };
 use holovol_light::measure::{add_to_spherical_harmonics, spherical_harmonics};
 use holovol_reference::Image;
@@ -79,11 +82,43 @@ fn exposure(option: &str, text: &str) -> Result<(PathBuf, f64), Failure> {
     Ok((text.into(), 0.0))
 }
 
+/// Refuses what would be given beside a picture that holds all radiance.
+fn check_alone(text: &str, args: &LightArgs) -> Result<(), Failure> {
+    let beside = [
+        (args.ldr.len() > 1, "other exposures have"),
+        (args.lux.is_some(), "--lux has"),
+        (args.probe.is_some(), "--probe has"),
+    ];
+    match beside.into_iter().find(|(given, _)| *given) {
+        None => Ok(()),
+        Some((_, what)) => Err(Failure::new(
+            Exit::Usage,
+            format!(
+                "--ldr {text}: it has radiance above 1, so that it is HDR already and {what} nothing to add; give it alone, or save exposures clipped at 1 (a scene's environment.scale brings an HDR panorama to a measured brightness)"
+            ),
+        )),
+    }
+}
+
 pub(crate) fn run(args: &LightArgs) -> Result<(), Failure> {
     let hdr_out = args
         .out
         .extension()
         .is_some_and(|e| e.eq_ignore_ascii_case("hdr"));
+    if !hdr_out
+        && args
+            .out
+            .extension()
+            .is_none_or(|e| !e.eq_ignore_ascii_case("exr"))
+    {
+        return Err(Failure::new(
+            Exit::Output,
+            format!(
+                "--out {}: expected a file name that ends in .exr or .hdr",
+                args.out.display()
+            ),
+        ));
+    }
     output::check(&args.out, if hdr_out { "hdr" } else { "exr" }, "--out")?;
     if let Some(report) = &args.report {
         output::check(report, "json", "--report")?;
@@ -93,16 +128,20 @@ pub(crate) fn run(args: &LightArgs) -> Result<(), Failure> {
     }
     let response = input::response(&args.crf)?;
     let mut notes = Vec::new();
-    let mut frames: Vec<(f64, Linear)> = Vec::new();
+    let mut frames: Vec<(f64, Linear, &str)> = Vec::new();
     for text in &args.ldr {
         let (path, ev) = exposure("--ldr", text)?;
         let mut picture = input::linear(&path, &response)?;
         notes.append(&mut picture.notes);
-        frames.push((ev, picture));
+        if picture.hdr {
+            check_alone(text, args)?;
+        }
+        frames.push((ev, picture, text));
     }
     let base = frames[0].0;
+    let unseen_sigma_ev = frames[0].1.unseen_sigma_ev;
     let (width, height) = (frames[0].1.width, frames[0].1.height);
-    for (text, (ev, frame)) in args.ldr.iter().zip(&mut frames) {
+    for (ev, frame, text) in &mut frames {
         *ev -= base;
         if (frame.width, frame.height) != (width, height) {
             return Err(Failure::new(
@@ -148,7 +187,7 @@ pub(crate) fn run(args: &LightArgs) -> Result<(), Failure> {
     } else {
         let exposures: Vec<Exposure> = frames
             .iter()
-            .map(|(ev, frame)| Exposure {
+            .map(|(ev, frame, _)| Exposure {
                 ev: *ev,
                 radiance: &frame.texels,
             })
@@ -159,6 +198,26 @@ pub(crate) fn run(args: &LightArgs) -> Result<(), Failure> {
             probe: probe.as_deref(),
         });
         estimator.write_map(&mut map);
+        let names = notes::Names {
+            frames: frames.iter().map(|(_, _, text)| *text).collect(),
+            lux: args.lux,
+            probe: args.probe.iter().map(|p| p.display().to_string()).collect(),
+        };
+        notes.extend(
+            estimator
+                .doubts()
+                .iter()
+                .map(|doubt| notes::doubt(doubt, &names)),
+        );
+        let compared = |doubt: &Doubt| matches!(doubt, Doubt::Meter { .. });
+        if args.lux.is_some()
+            && estimator.rung() == Rung::Probe
+            && !estimator.doubts().iter().any(compared)
+        {
+            notes.push(
+                "--lux agrees with the probe, which says more: only the probe is used".into(),
+            );
+        }
     }
     let mut sh9 = spherical_harmonics(
         estimator.grid(),
@@ -189,7 +248,7 @@ pub(crate) fn run(args: &LightArgs) -> Result<(), Failure> {
         } else {
             estimator.rung().name()
         },
-        sigma_ev: estimator.sigma_ev(),
+        sigma_ev: estimator.sigma_ev().hypot(unseen_sigma_ev),
         ceiling: f64::from(estimator.ceiling()),
         clipped,
         sky: SkyReport {
@@ -319,6 +378,14 @@ fn read_probe(path: &Path) -> Result<Vec<ProbeSample>, Failure> {
             "{} of {} samples can be used; expected at least 4, all with a direction and irradiance of 0 and more",
             samples.len(),
             entries.len()
+        )));
+    }
+    let directions = distinct_directions(&samples);
+    if directions < PROBE_DIRECTIONS {
+        return Err(input(format!(
+            "its {} samples look in {directions} direction{} only; expected at least {PROBE_DIRECTIONS}, 15° or more from each other (for one direction there is --lux)",
+            samples.len(),
+            if directions == 1 { "" } else { "s" }
         )));
     }
     Ok(samples)

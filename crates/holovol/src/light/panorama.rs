@@ -46,7 +46,7 @@ pub(crate) fn panorama(path: &Path) -> Result<Panorama, Failure> {
     estimator.write_map(&mut texels);
     notes.push(format!(
         "the light beyond white is estimated from this one picture, to about ± {:.1} stops",
-        estimator.sigma_ev()
+        estimator.sigma_ev().hypot(picture.unseen_sigma_ev)
     ));
     let map = EnvironmentMap::new(width, height, texels);
     Ok(Panorama { map, notes })

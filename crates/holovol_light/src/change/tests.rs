@@ -197,3 +197,25 @@ fn slow_change_adds_up_against_what_was_kept() {
     detector.keep();
     assert_eq!(detector.since_kept(), 0.0);
 }
+
+#[test]
+fn texels_larger_than_cells_shine_from_all_that_they_cover() {
+    for (width, height) in [(1, 1), (2, 1), (64, 32), (200, 100)] {
+        let mut detector = ChangeDetector::new();
+        let texels = vec![[1.0; 3]; width * height];
+        detector.update(&Grid::new(width, height), &texels, &[]);
+        let flux = &detector.frames[detector.newest].flux;
+        let cells = Grid::new(SIDE, SIDE);
+        // Blurring evens out the rows next to the poles.
+        for (i, flux) in flux
+            .iter()
+            .enumerate()
+            .take(SIDE * (SIDE - 8))
+            .skip(SIDE * 8)
+        {
+            let ratio = flux / cells.solid_angle(i / SIDE);
+            let rough = if width > 128 { 1.1 } else { 0.02 };
+            assert!((ratio - 1.0).abs() < rough, "{width} × {height}: {ratio}");
+        }
+    }
+}

@@ -34,10 +34,34 @@ pub(super) struct Measured {
     pub sigma: f64,
 }
 
+impl Measured {
+    /// How far the reading is above what lights of these log₂ strengths give, EV.
+    pub fn residual(&self, strengths: &[f64; GROUPS]) -> f64 {
+        self.value.max(1e-12).log2() - predict(strengths, GROUPS, self).0
+    }
+}
+
 /// Most probable strengths and their covariance.
 pub(super) struct Posterior {
     pub strengths: [f64; GROUPS],
     pub covariance: [[f64; GROUPS]; GROUPS],
+    /// How far the strengths are from what was believed, and the readings from what these
+    /// strengths give, in standard deviations.
+    pub strain: f64,
+    pub misfit: f64,
+}
+
+impl Posterior {
+    /// How far beliefs and readings are from each other, in standard deviations.
+    pub fn spreads(&self) -> f64 {
+        self.strain.hypot(self.misfit)
+    }
+
+    /// Makes all spreads larger by a factor.
+    pub fn widen(&mut self, factor: f64) {
+        let entries = self.covariance.as_flattened_mut();
+        entries.iter_mut().for_each(|v| *v *= factor * factor);
+    }
 }
 
 /// Combines beliefs with measurements.
@@ -79,7 +103,10 @@ pub(super) fn posterior(beliefs: &Beliefs, measured: &[Measured]) -> Posterior {
         }
     }
     let (normal, _) = linearise(&best.1, beliefs, measured);
+    let strain = cost(&best.1, beliefs, &[]).max(0.0);
     Posterior {
+        strain: strain.sqrt(),
+        misfit: (best.0 - strain).max(0.0).sqrt(),
         strengths: best.1,
         covariance: invert(&normal, n).unwrap_or([[0.0; GROUPS]; GROUPS]),
     }

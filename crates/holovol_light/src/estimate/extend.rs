@@ -41,7 +41,7 @@ impl Estimator {
     pub(super) fn extend(&mut self) {
         self.lights.clear();
         self.tint();
-        let sun = self.find_sun();
+        let sun = self.find_sun(self.sky.clearness);
         let darkened = sun.map_or(1.0, |(_, s)| 1.0 - s * (1.0 - SUNLIT_GAIN));
         let limit = gain_limit(self.reach_of_exposures());
         self.mark_sunlit(sun.map(|(i, _)| i));
@@ -145,8 +145,18 @@ impl Estimator {
         }
     }
 
-    /// The region that holds the sun, and how surely it is one, 0 … 1.
-    fn find_sun(&self) -> Option<(u32, f64)> {
+    /// Luminous irradiance facing it of the sun that there would be under a clear sky; 0 if there
+    /// is no place for one. To be asked before lights are extended.
+    pub(super) fn possible_sun(&self) -> f64 {
+        let sun = self.find_sun(1.0).map(|(_, sureness)| {
+            sureness * self.prior.sun_over_sky.exp2() * luminance(self.map_irradiance(DVec3::Y))
+        });
+        sun.unwrap_or(0.0)
+    }
+
+    /// The region that holds the sun, and how surely it is one, 0 … 1, under a sky of this
+    /// clearness.
+    fn find_sun(&self, clearness: f64) -> Option<(u32, f64)> {
         let candidates = self.halos.regions.iter().enumerate();
         let (i, region) = candidates
             .filter(|(_, region)| region.core > 0.0 && region.centre().y > LOWEST_SUN)
@@ -159,7 +169,7 @@ impl Estimator {
         } else {
             0.0
         };
-        let sureness = self.sky.clearness * glow.max(small);
+        let sureness = clearness * glow.max(small);
         (sureness > SUN_FROM).then_some((i as u32, sureness))
     }
 

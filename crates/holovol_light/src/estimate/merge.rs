@@ -14,7 +14,7 @@ pub struct Exposure<'a> {
 /// Values from here on count as clipped: 253 of 255 in sRGB, since compression rings.
 pub const CLIPPED: f32 = 0.98;
 /// Values below say little: 5 of 255 in sRGB.
-const FLOOR: f32 = 0.0015;
+pub(super) const FLOOR: f32 = 0.0015;
 /// From here to [`CLIPPED`] a value loses its weight, so that no edge shows.
 const SHOULDER: f32 = 0.8;
 /// Two exposures that differ by more than this factor at a pixel saw different things.
@@ -23,13 +23,17 @@ const MOVED: f32 = 1.5;
 /// Texels that are looked at together, since most are far from clipping.
 const BLOCK: usize = 16;
 
-/// Merges the first `frames.len()` exposures, sorted from the brightest to the darkest.
+/// Merges exposures, sorted from the brightest to the darkest.
 ///
 /// `radiance` gets the map in units of the frame with EV 0; `clipped` per pixel a bit per channel
 /// that the darkest exposure clips. Returns the ceiling: the radiance at which the darkest clips.
-pub(super) fn merge(frames: &[Exposure], radiance: &mut [[f32; 3]], clipped: &mut [u8]) -> f32 {
+pub(super) fn merge<'a>(
+    mut frames: impl Iterator<Item = &'a Exposure<'a>>,
+    radiance: &mut [[f32; 3]],
+    clipped: &mut [u8],
+) -> f32 {
     let gain = |frame: &Exposure| (-frame.ev).exp2() as f32;
-    let Some((first, darker)) = frames.split_first() else {
+    let Some(first) = frames.next() else {
         return 1.0;
     };
     let level = gain(first);
@@ -50,7 +54,7 @@ pub(super) fn merge(frames: &[Exposure], radiance: &mut [[f32; 3]], clipped: &mu
         }
     }
     let mut ceiling = level;
-    for frame in darker {
+    for frame in frames {
         let (before, level) = (ceiling, gain(frame));
         let blocks = radiance.chunks_mut(BLOCK).zip(clipped.chunks_mut(BLOCK));
         let blocks = blocks.zip(frame.radiance.chunks(BLOCK));
@@ -110,7 +114,7 @@ mod tests {
             .map(|(ev, radiance)| Exposure { ev: *ev, radiance })
             .collect();
         let (mut out, mut bits) = (vec![[0.0; 3]; 9], vec![0; 9]);
-        assert_eq!(merge(&frames, &mut out, &mut bits), 64.0);
+        assert_eq!(merge(frames.iter(), &mut out, &mut bits), 64.0);
         for (i, &expected) in scene.iter().enumerate() {
             let above = expected > 64.0;
             assert_eq!(bits[i], if above { 7 } else { 0 }, "{expected}");
@@ -132,7 +136,7 @@ mod tests {
             },
         ];
         let (mut out, mut bits) = (vec![[0.0; 3]; 2], vec![0; 2]);
-        merge(&frames, &mut out, &mut bits);
+        merge(frames.iter(), &mut out, &mut bits);
         assert_eq!((out[0], bits[0]), ([1.0; 3], 0));
         assert_eq!((out[1], bits[1]), ([0.9; 3], 0));
     }
@@ -141,14 +145,11 @@ mod tests {
     fn broken_values_become_finite_and_non_negative() {
         let base = vec![[f32::NAN, -1.0, f32::INFINITY]];
         let (mut out, mut bits) = (vec![[0.0; 3]; 1], vec![0; 1]);
-        merge(
-            &[Exposure {
-                ev: 0.0,
-                radiance: &base,
-            }],
-            &mut out,
-            &mut bits,
-        );
+        let frame = Exposure {
+            ev: 0.0,
+            radiance: &base,
+        };
+        merge([frame].iter(), &mut out, &mut bits);
         assert_eq!((out[0], bits[0]), ([0.0, 0.0, 1.0], 4));
     }
 }

@@ -1,6 +1,7 @@
 //! HDR light from LDR exposures and whatever else is known: a ladder of evidence.
 
 mod constrain;
+mod doubt;
 mod extend;
 mod found;
 mod merge;
@@ -11,16 +12,15 @@ mod resolve;
 mod sky;
 #[cfg(test)]
 mod tests;
-
-use std::f64::consts::{LN_2, PI};
+mod weigh;
 
 use glam::DVec3;
 
 use crate::measure::luminous_flux;
 use crate::{Grid, luminance};
-use constrain::{Beliefs, GROUPS, Measured};
 use regions::Regions;
 
+pub use doubt::{Doubt, distinct_directions};
 pub(crate) use extend::draw_discs;
 pub use found::{FoundLight, find_lights};
 pub use merge::{CLIPPED, Exposure};
@@ -36,7 +36,7 @@ pub struct Evidence<'a> {
     pub frames: &'a [Exposure<'a>],
     /// A light meter's reading.
     pub meter: Option<Meter>,
-    /// Irradiance measured on a diffuse ball, or by many meters.
+    /// Irradiance measured on a diffuse ball, or by many meters: of [`PROBE_DIRECTIONS`] or more.
     pub probe: Option<&'a [ProbeSample]>,
 }
 
@@ -72,8 +72,8 @@ pub struct ProbeSample {
     pub irradiance: [f64; 3],
 }
 
-/// One standard deviation of a probe's samples relative to its mean irradiance.
-const PROBE_SIGMA: f64 = 0.03;
+/// A probe tells of at least so many directions, 15° or more from each other.
+pub const PROBE_DIRECTIONS: usize = 4;
 
 /// What an estimate rests on, from the least to the most.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -140,20 +140,6 @@ pub const DISC_SOLID_ANGLE: f64 = 0.02;
 /// The sun's disc, sr.
 pub const SUN_SOLID_ANGLE: f64 = 6.8e-5;
 
-/// How far the irradiance of a correct strength may be from the meter's, EV: lights have shapes
-/// and directions that are only nearly known.
-const METER_MODEL_SIGMA: f64 = 0.05;
-/// A light's centre may be off by this share of its clipped core's radius.
-const MISPLACEMENT: f64 = 0.2;
-/// Correlation of two regions' gains: lamps and windows of a room resemble each other.
-const SHARED: f64 = 0.6;
-/// How sure the unclipped part is, EV: response, vignetting, quantisation.
-const BASE_SIGMA: f64 = 0.02;
-/// Share of all light below which a meter sees nothing.
-const UNSEEN: f64 = 1e-3;
-/// Share of a light's misplacement, as it shows over a probe, by which its strength is misread.
-const MISFIT_SHARE: f64 = 0.05;
-
 /// Estimates HDR light for one size of panorama; owns its memory, so that the steady state
 /// allocates nothing.
 #[derive(Clone, Debug)]
@@ -180,8 +166,11 @@ pub struct Estimator {
     above: Vec<([f64; 3], DVec3)>,
     /// Where the last estimate's lights of that kind were.
     resolved: Vec<DVec3>,
+    /// Per frame: whether it is believed. And what speaks against the evidence.
+    believed: Vec<bool>,
+    doubts: Vec<Doubt>,
     ceiling: f32,
-    /// Where the first frame clips.
+    /// Where the brightest frame clips.
     base: f32,
     sky: Sky,
     rung: Rung,
@@ -207,6 +196,8 @@ impl Estimator {
             bright: Regions::default(),
             above: Vec::new(),
             resolved: Vec::new(),
+            believed: Vec::new(),
+            doubts: Vec::new(),
             ceiling: 1.0,
             base: 1.0,
             sky: Sky::default(),
@@ -226,9 +217,14 @@ impl Estimator {
             !frames.is_empty() && frames.iter().all(|f| f.radiance.len() == self.grid.len()),
             "every frame has the estimator's size"
         );
-        self.ceiling = merge::merge(frames, &mut self.radiance, &mut self.clipped);
+        self.believe(frames);
+        let believed = frames.iter().zip(&self.believed);
+        let mut believed = believed.filter_map(|(frame, believed)| believed.then_some(frame));
+        let brightest = believed.clone().next().unwrap_or(&frames[0]);
+        let exposures = believed.clone().count();
+        self.base = (-brightest.ev).exp2() as f32;
+        self.ceiling = merge::merge(&mut believed, &mut self.radiance, &mut self.clipped);
         let ceiling = self.ceiling;
-        self.base = (-frames[0].ev).exp2() as f32;
         let clipped = merge::CLIPPED * self.base;
         self.sky = Sky::look(&self.grid, &self.radiance, clipped);
         self.mark_blunted_sun();
@@ -236,15 +232,14 @@ impl Estimator {
             .find(&self.grid, &self.radiance, &self.clipped, ceiling);
         self.cores
             .find_cores(&self.grid, &self.radiance, &self.clipped, ceiling);
-        self.rung = match (evidence.probe, evidence.meter, frames.len() > 1) {
-            (Some(_), ..) => Rung::Probe,
-            (None, None, false) => Rung::Single,
-            (None, Some(_), false) => Rung::SingleAndMeter,
-            (None, None, true) => Rung::Bracket,
-            (None, Some(_), true) => Rung::BracketAndMeter,
+        let missed_sun = match doubt::is_colourless(brightest.radiance) {
+            true => self.possible_sun(),
+            false => 0.0,
         };
         self.extend();
-        self.constrain(evidence);
+        let flux = self.constrain(evidence, exposures);
+        self.doubt_picture(flux, missed_sun);
+        self.sigma_ev = self.sigma_ev.hypot(self.doubt_ev());
         self.resolve();
     }
 
@@ -252,162 +247,6 @@ impl Estimator {
     /// exposure of 0 EV if that is further: a dark frame may be the first, or the only one.
     fn reach_of_exposures(&self) -> f32 {
         self.ceiling / self.base.min(1.0)
-    }
-
-    /// Unknown strengths under what was measured; lights and map are scaled by the result.
-    fn constrain(&mut self, evidence: &Evidence) {
-        let count = self.lights.len().min(GROUPS);
-        let beliefs = self.beliefs();
-        let mut shares = [0.0; GROUPS];
-        let measured = evidence.meter.and_then(|meter| self.measured(&meter));
-        let found = match evidence.probe {
-            Some(probe) if !probe.is_empty() => self.constrain_by_probe(&beliefs, probe),
-            _ => {
-                let found = constrain::posterior(&beliefs, measured.as_slice());
-                self.scale_lights(&found.strengths.map(|x| [x.exp2(); 3]));
-                found
-            }
-        };
-        let mut variance = match evidence.probe {
-            Some(probe) if !probe.is_empty() => self.misfit(probe).powi(2),
-            _ => BASE_SIGMA * BASE_SIGMA,
-        };
-        let after = self.flux().max(1e-12);
-        for (share, light) in shares.iter_mut().zip(&self.lights) {
-            *share = luminance(light.irradiance) / after;
-        }
-        for i in 0..count {
-            self.lights[i].sigma_ev = found.covariance[i][i].max(0.0).sqrt();
-            for j in 0..count {
-                variance += shares[i] * shares[j] * found.covariance[i][j];
-            }
-        }
-        self.sigma_ev = self.prior.sigma_scale[self.rung as usize] * variance.max(0.0).sqrt();
-    }
-
-    /// How far the estimate is from what the probe saw: of all light, EV.
-    ///
-    /// A probe sees the whole sphere, so that whatever is wrong (a light's place or shape, the
-    /// camera's response) shows in it.
-    fn misfit(&self, probe: &[ProbeSample]) -> f64 {
-        let count = probe.len() as f64;
-        let mean = probe
-            .iter()
-            .map(|sample| luminance(sample.irradiance))
-            .sum::<f64>()
-            / count;
-        if mean <= 0.0 {
-            return BASE_SIGMA;
-        }
-        let (mut sum, mut square) = (0.0, 0.0);
-        for sample in probe {
-            let (base, reach) = self.reach(sample.normal);
-            let found = luminance(base) + reach.iter().map(|rgb| luminance(*rgb)).sum::<f64>();
-            let off = (found - luminance(sample.irradiance)) / mean;
-            sum += off / count;
-            square += off * off / count;
-        }
-        // Luminance has less noise than its channels.
-        let noise = PROBE_SIGMA * 0.2126_f64.hypot(0.7152).hypot(0.0722);
-        let unexplained = (square - sum * sum - noise * noise).max(0.0).sqrt();
-        let seen = sum.hypot(MISFIT_SHARE * unexplained);
-        seen.max(noise / count.sqrt()) / LN_2
-    }
-
-    /// A meter's reading, and how well the lights' places let it be understood; none if it sees
-    /// next to nothing of the picture, so that any reading would ask for any light.
-    fn measured(&self, meter: &Meter) -> Option<Measured> {
-        let (base, reach) = self.reach(meter.normal);
-        let base = luminance(base);
-        let reach = reach.map(luminance);
-        let total = (base + reach.iter().sum::<f64>()).max(1e-12);
-        if total < UNSEEN * self.flux() {
-            return None;
-        }
-        // A light that is off by δ changes its cosine by δ·tan: much where it grazes the meter.
-        let misplaced = self.lights.iter().zip(reach).map(|(light, reach)| {
-            let cosine = light.direction.dot(meter.normal).clamp(0.05, 1.0);
-            let tangent = (1.0 - cosine * cosine).sqrt() / cosine;
-            reach / total * tangent * self.misplacement(light)
-        });
-        let model = misplaced.sum::<f64>().min(1.0) / LN_2;
-        let read = meter.relative_sigma / LN_2;
-        Some(Measured {
-            base,
-            reach,
-            value: meter.irradiance,
-            sigma: (read * read + model * model + METER_MODEL_SIGMA.powi(2)).sqrt(),
-        })
-    }
-
-    /// How far a light may be from where it was seen, radians.
-    fn misplacement(&self, light: &Light) -> f64 {
-        let regions = match light.class {
-            LightClass::Sun => &self.halos.regions,
-            _ => &self.cores.regions,
-        };
-        let region = regions.get(light.region as usize);
-        let core = region.map_or(light.solid_angle, |region| f64::from(region.core));
-        MISPLACEMENT * (core / PI).sqrt()
-    }
-
-    /// What is believed of the lights' strengths relative to what was guessed.
-    fn beliefs(&self) -> Beliefs {
-        let count = self.lights.len().min(GROUPS);
-        let mut covariance = [[0.0; GROUPS]; GROUPS];
-        for i in 0..count {
-            for j in 0..count {
-                let (a, b) = (&self.lights[i], &self.lights[j]);
-                let alike = if i == j {
-                    1.0
-                } else if (a.class == LightClass::Sun) == (b.class == LightClass::Sun) {
-                    SHARED
-                } else {
-                    0.0
-                };
-                covariance[i][j] = alike * a.sigma_ev * b.sigma_ev;
-            }
-        }
-        Beliefs::new(count, &covariance)
-    }
-
-    fn constrain_by_probe(
-        &mut self,
-        beliefs: &Beliefs,
-        probe: &[ProbeSample],
-    ) -> constrain::Posterior {
-        let mean = probe.iter().fold([0.0; 3], |sum, sample| {
-            std::array::from_fn(|c| sum[c] + sample.irradiance[c] / probe.len() as f64)
-        });
-        let reaches: Vec<_> = probe
-            .iter()
-            .map(|sample| self.reach(sample.normal))
-            .collect();
-        let mut factors = [[1.0; 3]; GROUPS];
-        let mut posterior = None;
-        for c in [0, 2, 1] {
-            let measured: Vec<Measured> = probe
-                .iter()
-                .zip(&reaches)
-                .map(|(sample, (base, reach))| {
-                    let value = sample.irradiance[c].max(1e-3 * mean[c]).max(1e-12);
-                    Measured {
-                        base: base[c],
-                        reach: reach.map(|rgb| rgb[c]),
-                        value,
-                        // The noise is that of the probe's picture: absolute, not relative.
-                        sigma: PROBE_SIGMA * (mean[c] / value).max(1.0) / LN_2,
-                    }
-                })
-                .collect();
-            let found = constrain::posterior(beliefs, &measured);
-            for (factor, x) in factors.iter_mut().zip(found.strengths) {
-                factor[c] = x.exp2();
-            }
-            posterior = Some(found);
-        }
-        self.scale_lights(&factors);
-        posterior.unwrap_or_else(|| constrain::posterior(beliefs, &[]))
     }
 
     /// The panorama's grid.
@@ -434,6 +273,11 @@ impl Estimator {
     /// One standard deviation of the log₂ of all light together, EV.
     pub fn sigma_ev(&self) -> f64 {
         self.sigma_ev
+    }
+
+    /// What speaks against the evidence or the estimate: empty, as a rule.
+    pub fn doubts(&self) -> &[Doubt] {
+        &self.doubts
     }
 
     /// What was seen of a sky.

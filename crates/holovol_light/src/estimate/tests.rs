@@ -273,3 +273,191 @@ fn a_meter_that_sees_nothing_of_the_picture_says_nothing() {
     };
     assert_eq!(flux(Some(Meter::upward(3.0))), flux(None));
 }
+
+/// The doubts of an estimate, its flux, σ and rung.
+fn doubted(
+    frames: &[(f64, Vec<[f32; 3]>)],
+    meter: Option<Meter>,
+    probe: Option<&[ProbeSample]>,
+) -> (Vec<Doubt>, f64, f64, Rung) {
+    let exposures: Vec<Exposure> = frames
+        .iter()
+        .map(|(ev, radiance)| Exposure { ev: *ev, radiance })
+        .collect();
+    let mut estimator = Estimator::new(WIDTH, HEIGHT, Prior::default());
+    estimator.estimate(&Evidence {
+        frames: &exposures,
+        meter,
+        probe,
+    });
+    let (flux, sigma) = (estimator.flux(), estimator.sigma_ev());
+    (estimator.doubts().to_vec(), flux, sigma, estimator.rung())
+}
+
+#[test]
+fn exposures_that_contradict_the_first_are_not_believed() {
+    let base = || expose(day, 0.0);
+    let single = doubted(&[(0.0, base())], None, None);
+    let honest = doubted(&[(0.0, base()), (-6.0, expose(day, -6.0))], None, None);
+    assert_eq!((honest.0, honest.3), (vec![], Rung::Bracket));
+    let elsewhere = |d: DVec3| lit_wall(40.0)(DVec3::new(d.z, d.y, -d.x));
+    let wrong = [
+        ("the same picture", [(0.0, base()), (-6.0, base())]),
+        (
+            "another place",
+            [(0.0, base()), (-6.0, expose(elsewhere, -6.0))],
+        ),
+        ("a cap", [(0.0, base()), (-6.0, expose(|_| [0.0; 3], 0.0))]),
+        ("the sign turned", [(6.0, expose(day, -6.0)), (0.0, base())]),
+        ("1 EV off", [(0.0, base()), (-6.0, expose(day, -5.0))]),
+    ];
+    for (name, frames) in wrong {
+        let (doubts, flux, sigma, rung) = doubted(&frames, None, None);
+        let [
+            Doubt::Frame {
+                frame,
+                with,
+                off_ev,
+                believed: false,
+                ..
+            },
+        ] = doubts[..]
+        else {
+            panic!("{name}: {doubts:?}");
+        };
+        assert_eq!(
+            (frames[frame].0 == 0.0, frames[with].0),
+            (false, 0.0),
+            "{name}"
+        );
+        // What is black, or another place, says nothing of the exposure.
+        let far = off_ev.abs() > 0.8 || ["another place", "a cap"].contains(&name);
+        assert!(far, "{name}: {off_ev}");
+        assert_eq!(
+            (flux, sigma, rung),
+            (single.1, single.2, Rung::Single),
+            "{name}"
+        );
+    }
+    // Half a stop off: used, but with less trust.
+    let (doubts, _, sigma, _) = doubted(&[(0.0, base()), (-6.0, expose(day, -5.5))], None, None);
+    assert!(
+        matches!(doubts[..], [Doubt::Frame { believed: true, .. }]),
+        "{doubts:?}"
+    );
+    assert!(sigma > honest.2.hypot(0.2), "{sigma} {}", honest.2);
+}
+
+#[test]
+fn readings_that_no_light_explains_are_not_believed() {
+    let black = |_: DVec3| [0.0; 3];
+    let scenes: [(&str, Vec<[f32; 3]>); 3] = [
+        ("day", expose(day, 0.0)),
+        ("room", expose(room, 0.0)),
+        ("black", expose(black, 0.0)),
+    ];
+    for (name, picture) in scenes {
+        let frames = [(0.0, picture)];
+        let alone = doubted(&frames, None, None);
+        for lux in [5e5, 1e30, 1e-9] {
+            let (doubts, flux, sigma, rung) = doubted(&frames, Some(Meter::upward(lux)), None);
+            let found = doubts.iter().any(|d| {
+                matches!(
+                    d,
+                    Doubt::Meter {
+                        believed: false,
+                        ..
+                    }
+                )
+            });
+            assert!(found && rung == Rung::Single, "{name} {lux}: {doubts:?}");
+            assert_eq!(flux, alone.1, "{name} {lux}");
+            assert!(
+                sigma > alone.2.hypot(1.0) && sigma < alone.2 + 3.0,
+                "{name} {lux}: {sigma}"
+            );
+        }
+    }
+}
+
+#[test]
+fn probes_of_nothing_and_of_one_direction_are_not_believed() {
+    let frames = [(0.0, expose(room, 0.0))];
+    let alone = doubted(&frames, None, None);
+    let sample = |normal: DVec3, irradiance: f64| ProbeSample {
+        normal,
+        irradiance: [irradiance; 3],
+    };
+    let dark: Vec<ProbeSample> = normals(32).map(|n| sample(n, 0.0)).collect();
+    let one: Vec<ProbeSample> = (0..6).map(|_| sample(DVec3::Y, 0.6)).collect();
+    for (name, probe) in [("dark", dark), ("one direction", one)] {
+        let (doubts, flux, sigma, rung) = doubted(&frames, None, Some(&probe));
+        assert!(
+            matches!(
+                doubts[..],
+                [Doubt::Probe {
+                    believed: false,
+                    ..
+                }]
+            ),
+            "{name}: {doubts:?}"
+        );
+        assert_eq!((flux, rung), (alone.1, Rung::Single), "{name}");
+        assert!(sigma >= alone.2, "{name}: {sigma}");
+    }
+    // A good one, with a meter that reads another unit beside it.
+    let mut scene = Estimator::new(WIDTH, HEIGHT, Prior::default());
+    scene.estimate(&Evidence {
+        frames: &[Exposure {
+            ev: 0.0,
+            radiance: &frames[0].1,
+        }],
+        ..Evidence::default()
+    });
+    let truth = FluxCells::new(&whole(&scene));
+    let good: Vec<ProbeSample> = normals(32)
+        .map(|n| ProbeSample {
+            normal: n,
+            irradiance: truth.irradiance(n),
+        })
+        .collect();
+    let (doubts, _, sure, rung) = doubted(&frames, None, Some(&good));
+    assert_eq!((doubts, rung), (vec![], Rung::Probe));
+    let (doubts, _, sigma, rung) = doubted(&frames, Some(Meter::upward(500.0)), Some(&good));
+    assert!(
+        matches!(
+            doubts[..],
+            [Doubt::Meter {
+                believed: false,
+                ..
+            }]
+        ),
+        "{doubts:?}"
+    );
+    assert_eq!(rung, Rung::Probe);
+    assert!(sigma > sure + 1.0, "{sigma}");
+}
+
+#[test]
+fn a_picture_without_colours_may_hide_a_sun() {
+    let grey = |d: DVec3| [luminance(day(d)); 3];
+    let (doubts, flux, sigma, _) = doubted(&[(0.0, expose(grey, 0.0))], None, None);
+    let [Doubt::Colourless { sun_ev }] = doubts[..] else {
+        panic!("{doubts:?}");
+    };
+    let coloured = doubted(&[(0.0, expose(day, 0.0))], None, None);
+    assert_eq!(coloured.0, []);
+    let off = (coloured.1 / flux).log2();
+    assert!(
+        off < 2.0 * sigma && sun_ev > 0.5 * off,
+        "{sun_ev} {sigma} {off}"
+    );
+    // Where no lamp could be a sun, colours don't matter.
+    let (doubts, ..) = doubted(&[(0.0, expose(|_| [0.2; 3], 0.0))], None, None);
+    assert_eq!(doubts, []);
+    let (doubts, _, sigma, _) = doubted(&[(0.0, expose(|_| [1e-4; 3], 0.0))], None, None);
+    assert!(
+        matches!(doubts[..], [Doubt::Black { .. }]) && sigma > 1.0,
+        "{doubts:?} {sigma}"
+    );
+}
