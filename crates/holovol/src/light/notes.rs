@@ -36,12 +36,14 @@ pub(super) fn doubt(doubt: &Doubt, names: &Names) -> String {
             frame,
             with,
             off_ev,
+            differs,
             ..
         } => format!(
-            "{} is {} than its @EV says, beside {}; {}. Is its @EV right, and --crf?",
+            "{} is {} than its @EV says, beside {}, and they differ in {:.0} % of what both can tell; {}. Does it show the same view, and are its @EV and --crf right?",
             name(frame),
             brighter(off_ev),
             name(with),
+            100.0 * differs,
             fate(true)
         ),
         Doubt::Meter {

@@ -20,7 +20,8 @@ pub enum Doubt {
         with: usize,
         /// Median of how much brighter than the other it shows what both can tell, EV.
         off_ev: f64,
-        /// Share of what both can tell in which they differ by more than half.
+        /// Share of what both can tell in which they differ by more than half, beside what an
+        /// unknown response does to the dark.
         differs: f64,
         /// Whether it is used all the same.
         believed: bool,
@@ -72,18 +73,51 @@ const MOST_DOUBT: f64 = 2.0;
 const ROWS: usize = 64;
 /// Values from here on say little of how bright something is: they may be about to clip.
 const BRIGHTEST: f32 = 0.9;
-/// log₂ of the factor by which exposures that saw the same don't differ, and the share of what
-/// both can tell above which they contradict each other.
+/// EV by which exposures that saw the same don't differ, and the share of what both can tell above
+/// which they contradict each other.
 const DIFFERENT: f32 = 0.585;
 const CONTRADICTS: f32 = 0.45;
+/// How far dark values may be off alike, EV: this at [`TOE`] linear, at others as its ratio to them
+/// to the power of ¾. sRGB taken for a power of 2.2, or the reverse, is so far off; and where
+/// exposures of a bracket overlap, the darker one is dark.
+const TOE_EV: f32 = 1.3;
+const TOE: f32 = 0.004;
+const MOST_TOE_EV: f32 = 1.5;
 /// Share of the picture that both have to tell something of.
 const TOLD: f32 = 0.01;
+/// Share that may differ by noise, compression and what moves; and how far an exposure may be off
+/// for all that differs beyond, EV.
+const MOVES: f64 = 0.1;
+const SCATTER_EV: f64 = 3.0;
 /// Exposures are believed to be this exact in the middle, EV.
 const EXACT: f64 = 0.2;
 /// Share of what is told that has to be within the range of both for its median to count alone.
 const WITHIN: f32 = 0.1;
-/// Bins of 0.1 EV for the median, from −10 EV on.
+/// Differences of 0.1 EV, from −10 EV on, at values of the darker exposure of an octave each; the
+/// first of what it shows as black.
 const BINS: usize = 200;
+const LEVELS: usize = 11;
+
+/// What share of a picture differs by how much.
+type Histogram = [f32; BINS];
+
+fn bin_of(ev: f32) -> usize {
+    ((10.0 * ev + 0.5 * BINS as f32) as usize).min(BINS - 1)
+}
+
+fn ev_of(bin: usize) -> f32 {
+    0.1 * (bin as f32 + 0.5 - 0.5 * BINS as f32)
+}
+
+fn median(histogram: &Histogram) -> f32 {
+    let half = 0.5 * histogram.iter().sum::<f32>();
+    let mut sum = 0.0;
+    let middle = histogram.iter().position(|share| {
+        sum += share;
+        sum >= half
+    });
+    ev_of(middle.unwrap_or(BINS / 2))
+}
 
 /// How two exposures differ in what both can tell.
 struct Difference {
@@ -101,9 +135,9 @@ impl Difference {
             return None;
         }
         let (width, step) = (grid.width(), (grid.height() / ROWS).max(1));
-        // Of what is within the range of both, and of all.
-        let mut bins = [[0.0_f32; BINS]; 2];
-        let (mut told, mut different, mut within) = (0.0, 0.0, 0.0);
+        let mut levels = [[0.0_f32; BINS]; LEVELS];
+        // Of what is within the range of both.
+        let mut inner = [0.0_f32; BINS];
         for y in (0..grid.height()).step_by(step) {
             let row = y * width..(y + 1) * width;
             let pairs = bright.radiance[row.clone()].iter().zip(&dark.radiance[row]);
@@ -113,39 +147,48 @@ impl Difference {
                 if a == b {
                     continue;
                 }
-                let ev = (b / a).log2();
                 let weight = grid.solid_angle(y);
-                told += weight;
-                different += if ev.abs() > DIFFERENT { weight } else { 0.0 };
+                let bin = bin_of((b / a).log2());
+                let level = (b / least).log2() as usize + usize::from(b > least);
+                levels[level.min(LEVELS - 1)][bin] += weight;
                 let is_end = |v: f32| v == least || v == BRIGHTEST;
-                let clear = !is_end(a) && !is_end(b);
-                within += if clear { weight } else { 0.0 };
-                let bin = (10.0 * ev + 0.5 * BINS as f32) as usize;
-                bins[usize::from(!clear)][bin.min(BINS - 1)] += weight;
+                inner[bin] += if is_end(a) || is_end(b) { 0.0 } else { weight };
             }
         }
-        let [inner, outer] = bins;
-        let bins = match within > WITHIN * told {
-            true => inner,
-            false => std::array::from_fn(|i| inner[i] + outer[i]),
-        };
-        let half = 0.5 * bins.iter().sum::<f32>();
-        let mut sum = 0.0;
-        let middle = bins.iter().position(|share| {
-            sum += share;
-            sum >= half
-        });
-        let bin = middle.unwrap_or(BINS / 2) as f64 + 0.5;
-        let all: f32 = (0..grid.height())
+        let all: Histogram = std::array::from_fn(|i| levels.iter().map(|level| level[i]).sum());
+        let told: f32 = all.iter().sum();
+        let is_within = inner.iter().sum::<f32>() > WITHIN * told;
+        let different: f32 = (0..LEVELS)
+            .map(|i| {
+                let value = FLOOR * (i as f32 - 0.5).exp2();
+                different(&levels[i], if i > 0 { toe(value) } else { 0.0 })
+            })
+            .sum();
+        let whole: f32 = (0..grid.height())
             .step_by(step)
             .map(|y| grid.solid_angle(y) * width.div_ceil(step) as f32)
             .sum();
         Some(Self {
-            off_ev: 0.1 * (bin - 0.5 * BINS as f64),
+            off_ev: f64::from(median(if is_within { &inner } else { &all })),
             differs: different / told.max(f32::MIN_POSITIVE),
-            told: told / all,
+            told: told / whole,
         })
     }
+}
+
+/// How far a value may be off since the response isn't known, EV.
+fn toe(value: f32) -> f32 {
+    let root = (TOE / value).sqrt();
+    (TOE_EV * root * root.sqrt()).min(MOST_TOE_EV)
+}
+
+/// What differs at one value of the darker exposure, where all of it may be off alike by `toe`.
+fn different(histogram: &Histogram, toe: f32) -> f32 {
+    let alike = median(histogram).clamp(-toe, toe);
+    let bins = histogram.iter().enumerate();
+    bins.filter(|(bin, _)| (ev_of(*bin) - alike).abs() > DIFFERENT)
+        .map(|(_, share)| share)
+        .sum()
 }
 
 impl Estimator {
@@ -176,8 +219,8 @@ impl Estimator {
             return;
         };
         let off = found.off_ev.abs();
-        self.believed[asked] = found.differs <= CONTRADICTS && off <= f64::from(DIFFERENT);
-        if !self.believed[asked] || off > EXACT {
+        self.believed[asked] = found.differs <= CONTRADICTS;
+        if !self.believed[asked] || off > EXACT || f64::from(found.differs) > MOVES {
             self.doubts.push(Doubt::Frame {
                 frame: asked,
                 with: bright + dark - asked,
@@ -213,9 +256,13 @@ impl Estimator {
         let ev = |doubt: &Doubt| match *doubt {
             Doubt::Frame {
                 off_ev,
+                differs,
                 believed: true,
                 ..
-            } => off_ev.abs().min(2.0 * (off_ev.abs() - EXACT)),
+            } => {
+                let off = off_ev.abs().min(2.0 * (off_ev.abs() - EXACT).max(0.0));
+                off.hypot(SCATTER_EV * (differs - MOVES).max(0.0))
+            }
             // What a believed meter or probe is off by is in the lights' covariance.
             Doubt::Meter {
                 off_ev,
