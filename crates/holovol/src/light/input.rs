@@ -72,8 +72,11 @@ pub(crate) fn linear(path: &Path, response: &Response) -> Result<Linear, Failure
     let Codes {
         width,
         height,
-        texels,
+        mut texels,
     } = codes(path, &bytes)?;
+    if jpeg::is_jpeg(&bytes) {
+        texels.iter_mut().for_each(jpeg::restore_clipped);
+    }
     let mut notes = Vec::new();
     let curve = curve(response);
     let mut texels: Vec<[f32; 3]> = texels

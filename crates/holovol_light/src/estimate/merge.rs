@@ -84,7 +84,11 @@ pub(super) fn merge<'a>(
                     }
                 } else if out[c] > SHOULDER * before && value > FLOOR {
                     let agree = dark < out[c] * MOVED && out[c] < dark * MOVED;
-                    if agree {
+                    if dark >= out[c] * MOVED {
+                        // Compression has blunted what clipped.
+                        out[c] = dark;
+                        *bits |= u8::from(value >= CLIPPED) << c;
+                    } else if agree {
                         let weight = (out[c] / before - SHOULDER) / (CLIPPED - SHOULDER);
                         out[c] += weight.clamp(0.0, 1.0) * (dark - out[c]);
                     }
@@ -123,6 +127,16 @@ mod tests {
     }
 
     #[test]
+    fn what_compression_blunted_is_told_by_the_darker_exposure() {
+        let (base, dark) = (vec![[0.9; 3], [0.85; 3]], vec![[0.5; 3], [1.0; 3]]);
+        let frames = [(0.0, &base), (-6.0, &dark)].map(|(ev, radiance)| Exposure { ev, radiance });
+        let (mut out, mut bits) = (vec![[0.0; 3]; 2], vec![0; 2]);
+        merge(frames.iter(), &mut out, &mut bits);
+        assert_eq!((out[0], bits[0]), ([32.0; 3], 0));
+        assert_eq!((out[1], bits[1]), ([64.0; 3], 7));
+    }
+
+    #[test]
     fn what_moved_between_exposures_does_not_leave_a_hole() {
         let (base, dark) = (vec![[1.0; 3], [0.9; 3]], vec![[0.001; 3], [0.9; 3]]);
         let frames = [
@@ -138,7 +152,8 @@ mod tests {
         let (mut out, mut bits) = (vec![[0.0; 3]; 2], vec![0; 2]);
         merge(frames.iter(), &mut out, &mut bits);
         assert_eq!((out[0], bits[0]), ([1.0; 3], 0));
-        assert_eq!((out[1], bits[1]), ([0.9; 3], 0));
+        // What was near clipping may have been clipped.
+        assert_eq!((out[1], bits[1]), ([0.9 * 64.0; 3], 0));
     }
 
     #[test]
