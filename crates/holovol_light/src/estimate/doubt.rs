@@ -85,6 +85,8 @@ const TOE: f32 = 0.004;
 const MOST_TOE_EV: f32 = 1.5;
 /// Share of the picture that both have to tell something of.
 const TOLD: f32 = 0.01;
+/// What a darker exposure surely shows: twice what it can tell from black.
+const SHOWN: f32 = 2.0 * FLOOR;
 /// Share that may differ by noise, compression and what moves; and how far an exposure may be off
 /// for all that differs beyond, EV.
 const MOVES: f64 = 0.1;
@@ -123,16 +125,16 @@ fn median(histogram: &Histogram) -> f32 {
 struct Difference {
     off_ev: f64,
     differs: f32,
-    told: f32,
+    is_told: bool,
 }
 
 impl Difference {
-    /// Compares a brighter and a darker exposure; none if nothing can be in the range of both.
-    fn new(grid: &Grid, bright: &Exposure, dark: &Exposure) -> Option<Self> {
+    /// Compares a brighter and a darker exposure.
+    fn new(grid: &Grid, bright: &Exposure, dark: &Exposure) -> Self {
         let times = (bright.ev - dark.ev).exp2() as f32;
         let least = FLOOR * times;
         if least > 0.5 * BRIGHTEST {
-            return None;
+            return Self::far(grid, bright, dark);
         }
         let (width, step) = (grid.width(), (grid.height() / ROWS).max(1));
         let mut levels = [[0.0_f32; BINS]; LEVELS];
@@ -144,14 +146,14 @@ impl Difference {
             for (a, b) in pairs.step_by(step) {
                 // Green says enough. What is out of range of one is compared with the range's end.
                 let [a, b] = [a[1], times * b[1]].map(|v| v.max(least).min(BRIGHTEST));
-                if a == b {
+                let is_end = |v: f32| v == least || v == BRIGHTEST;
+                if a == b && is_end(a) {
                     continue;
                 }
                 let weight = grid.solid_angle(y);
                 let bin = bin_of((b / a).log2());
                 let level = (b / least).log2() as usize + usize::from(b > least);
                 levels[level.min(LEVELS - 1)][bin] += weight;
-                let is_end = |v: f32| v == least || v == BRIGHTEST;
                 inner[bin] += if is_end(a) || is_end(b) { 0.0 } else { weight };
             }
         }
@@ -168,11 +170,31 @@ impl Difference {
             .step_by(step)
             .map(|y| grid.solid_angle(y) * width.div_ceil(step) as f32)
             .sum();
-        Some(Self {
+        Self {
             off_ev: f64::from(median(if is_within { &inner } else { &all })),
             differs: different / told.max(f32::MIN_POSITIVE),
-            told: told / whole,
-        })
+            is_told: told >= TOLD * whole,
+        }
+    }
+
+    /// Of exposures so far apart that nothing is in the range of both: what the darker one shows
+    /// clips in the brighter one.
+    fn far(grid: &Grid, bright: &Exposure, dark: &Exposure) -> Self {
+        let mut histogram = [0.0_f32; BINS];
+        for y in 0..grid.height() {
+            let row = y * grid.width()..(y + 1) * grid.width();
+            let pairs = bright.radiance[row.clone()].iter().zip(&dark.radiance[row]);
+            for (a, _) in pairs.filter(|(_, b)| b[1] > SHOWN) {
+                let ev = (BRIGHTEST / a[1].clamp(FLOOR, BRIGHTEST)).log2();
+                histogram[bin_of(ev)] += grid.solid_angle(y);
+            }
+        }
+        let told: f32 = histogram.iter().sum();
+        Self {
+            off_ev: f64::from(median(&histogram)),
+            differs: different(&histogram, 0.0) / told.max(f32::MIN_POSITIVE),
+            is_told: told >= 0.1 * TOLD * 4.0 * std::f32::consts::PI,
+        }
     }
 }
 
@@ -182,7 +204,7 @@ fn toe(value: f32) -> f32 {
     (TOE_EV * root * root.sqrt()).min(MOST_TOE_EV)
 }
 
-/// What differs at one value of the darker exposure, where all of it may be off alike by `toe`.
+/// What differs by more than what it may be off alike, EV.
 fn different(histogram: &Histogram, toe: f32) -> f32 {
     let alike = median(histogram).clamp(-toe, toe);
     let bins = histogram.iter().enumerate();
@@ -215,9 +237,9 @@ impl Estimator {
 
     fn compare(&mut self, frames: &[Exposure], [bright, dark]: [usize; 2], asked: usize) {
         let found = Difference::new(&self.grid, &frames[bright], &frames[dark]);
-        let Some(found) = found.filter(|found| found.told >= TOLD) else {
+        if !found.is_told {
             return;
-        };
+        }
         let off = found.off_ev.abs();
         self.believed[asked] = found.differs <= CONTRADICTS;
         if !self.believed[asked] || off > EXACT || f64::from(found.differs) > MOVES {
@@ -263,18 +285,7 @@ impl Estimator {
                 let off = off_ev.abs().min(2.0 * (off_ev.abs() - EXACT).max(0.0));
                 off.hypot(SCATTER_EV * (differs - MOVES).max(0.0))
             }
-            // What a believed meter or probe is off by is in the lights' covariance.
-            Doubt::Meter {
-                off_ev,
-                spreads,
-                believed: false,
-            }
-            | Doubt::Probe {
-                off_ev,
-                spreads,
-                believed: false,
-                ..
-            } => off_ev.abs() * (1.0 - DOUBTED / spreads.max(1e-9)),
+            Doubt::Meter { off_ev, .. } | Doubt::Probe { off_ev, .. } => off_ev.abs(),
             Doubt::Colourless { sun_ev } => sun_ev,
             Doubt::Black { below_ev } => below_ev,
             _ => 0.0,
