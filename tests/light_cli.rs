@@ -354,6 +354,54 @@ fn told(bench: &Bench, args: &[&str]) -> (String, f64, String) {
 }
 
 #[test]
+fn what_is_read_is_not_written_over() {
+    let bench = Bench::new();
+    room(0.0).save(bench.path("room.png")).unwrap();
+    let before = std::fs::read(bench.path("room.png")).unwrap();
+    let args = ["light", "--ldr", "room.png@0", "--out", "o.exr"];
+    let output = bench.run(&[&args[..], &["--preview", "room.png"]].concat());
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(4), "{stderr}");
+    assert!(stderr.contains("--preview room.png"), "{stderr}");
+    assert_eq!(std::fs::read(bench.path("room.png")).unwrap(), before);
+}
+
+/// A lamp of few pixels loses its colour and its brightest codes in a JPEG, but not its light.
+#[test]
+fn jpegs_keep_small_lights() {
+    let bench = Bench::new();
+    let lamp = |ev: f64| {
+        let mut picture = room(ev);
+        // 40 times the clipping level on brown, 2 by 3 pixels, off the coder's grid.
+        let code = (255.0 * (40.0 * ev.exp2()).min(1.0).powf(1.0 / 2.2)) as u8;
+        let around = (255.0 * (0.2 * ev.exp2()).powf(1.0 / 2.2)) as u8;
+        for y in 20..30 {
+            for x in 50..62 {
+                picture.put_pixel(x, y, Rgb([around, around / 2, around / 5]));
+            }
+        }
+        for (x, y) in [(55, 25), (56, 25), (55, 26), (56, 26), (55, 27), (56, 27)] {
+            picture.put_pixel(x, y, Rgb([code; 3]));
+        }
+        picture
+    };
+    let flux = |extension: &str| {
+        let names = ["base", "dark"].map(|name| format!("{name}.{extension}"));
+        for (name, ev) in names.iter().zip([0.0, -6.0]) {
+            lamp(ev).save(bench.path(name)).unwrap();
+        }
+        let dark = format!("{}@-6", names[1]);
+        let args = [
+            "light", "--ldr", &names[0], "--ldr", &dark, "--out", "o.exr",
+        ];
+        let line = bench.json(&args);
+        line["sh9"][0][1].as_f64().unwrap()
+    };
+    let [png, jpeg] = ["png", "jpg"].map(flux);
+    assert!((jpeg / png - 1.0).abs() < 0.1, "png {png}, jpeg {jpeg}");
+}
+
+#[test]
 fn evidence_that_contradicts_is_named_and_not_believed() {
     let bench = Bench::new();
     room(0.0).save(bench.path("room.png")).unwrap();

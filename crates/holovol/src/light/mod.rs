@@ -100,6 +100,31 @@ fn check_alone(text: &str, args: &LightArgs) -> Result<(), Failure> {
     }
 }
 
+/// Refuses to write over what is read.
+fn check_inputs_stay(args: &LightArgs, inputs: &[PathBuf]) -> Result<(), Failure> {
+    let same = |a: &Path, b: &Path| match (a.canonicalize(), b.canonicalize()) {
+        (Ok(a), Ok(b)) => a == b,
+        _ => false,
+    };
+    let outputs = [
+        ("--out", Some(&args.out)),
+        ("--report", args.report.as_ref()),
+        ("--preview", args.preview.as_ref()),
+    ];
+    for (option, out) in outputs {
+        if let Some(out) = out.filter(|out| inputs.iter().any(|input| same(input, out))) {
+            return Err(Failure::new(
+                Exit::Output,
+                format!(
+                    "{option} {}: it is read, too, and would be lost; choose another name",
+                    out.display()
+                ),
+            ));
+        }
+    }
+    Ok(())
+}
+
 pub(crate) fn run(args: &LightArgs) -> Result<(), Failure> {
     let hdr_out = args
         .out
@@ -126,6 +151,13 @@ pub(crate) fn run(args: &LightArgs) -> Result<(), Failure> {
     if let Some(preview) = &args.preview {
         output::check(preview, "png", "--preview")?;
     }
+    let given = [&args.probe, &args.prior].into_iter().flatten().cloned();
+    let named = args.ldr.iter().map(|text| exposure("--ldr", text));
+    let inputs: Vec<PathBuf> = named
+        .map(|named| named.map(|(path, _)| path))
+        .chain(given.map(Ok))
+        .collect::<Result<_, _>>()?;
+    check_inputs_stay(args, &inputs)?;
     let response = input::response(&args.crf)?;
     let mut notes = Vec::new();
     let mut frames: Vec<(f64, Linear, &str)> = Vec::new();
@@ -233,7 +265,7 @@ pub(crate) fn run(args: &LightArgs) -> Result<(), Failure> {
     let seconds = started.elapsed().as_secs_f64();
 
     let clipped = clipped_share(&frames[0].1, estimator.grid());
-    if clipped > 0.5 {
+    if clipped > 0.5 && !passes_through {
         notes.push(format!(
             "{:.0} % of the sphere is clipped: little can be known of the light; expose less",
             100.0 * clipped
