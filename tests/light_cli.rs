@@ -785,6 +785,14 @@ fn a_series_becomes_a_response_file() {
         3,
         &["red follows only"],
     );
+    let jpeg = image::open(bench.path("1.png")).unwrap().into_rgb8();
+    jpeg.save(bench.path("1.jpg")).unwrap();
+    refused(
+        &bench,
+        &fit(["0.png", "1.jpg@-1.5", "2.png@-3"]),
+        3,
+        &["--series 1.jpg@-1.5: a JPEG"],
+    );
     refused(
         &bench,
         &fit(["0.png", "1.png", "2.png"]),

@@ -476,7 +476,7 @@ pub struct CalibrateArgs {
     /// Field of view of each lens in degrees, where nothing else is known
     #[arg(long, value_name = "DEGREES", default_value_t = 195.0, value_parser = parse_fov)]
     pub fov: f64,
-    /// An exposure series for the response
+    /// An exposure series for the response, as PNG: JPEG's coding bends the fit
     #[arg(long, value_name = "PICTURE@EV", num_args = 1..)]
     pub series: Vec<String>,
     /// Camera response, if known: srgb, gamma:NUMBER, or a file

@@ -1,5 +1,6 @@
 //! `holovol stitch` and `holovol calibrate`.
 
+use std::io::Read as _;
 use std::path::Path;
 
 use glam::DMat3;
@@ -205,12 +206,26 @@ fn write_json(value: &impl Serialize, path: &Path) -> Result<(), Failure> {
     output::write_text(&(text + "\n"), path)
 }
 
+fn is_jpeg_file(path: &Path) -> bool {
+    let mut start = [0; 2];
+    let read = std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut start));
+    read.is_ok() && super::jpeg::is_jpeg(&start)
+}
+
 /// Fits the response to `PICTURE@EV …`.
 fn series(entries: &[String]) -> Result<holovol_light::response::Response, Failure> {
     let mut pictures = Vec::new();
     let mut first = None;
     for text in entries {
         let (path, ev) = super::exposure("--series", text)?;
+        if is_jpeg_file(&path) {
+            return Err(Failure::new(
+                Exit::Input,
+                format!(
+                    "--series {text}: a JPEG, whose coding bends the fit (by a factor of up to 4 in trials); give PNG made from raw or uncompressed pictures, or use --crf srgb"
+                ),
+            ));
+        }
         let (width, height, pixels) = rgb8(&path)?;
         let (across, down) = *first.get_or_insert((width, height));
         if (width, height) != (across, down) {
