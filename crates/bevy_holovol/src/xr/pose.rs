@@ -51,18 +51,13 @@ impl FieldOfView {
         let [left, right, up, down] =
             [self.left, self.right, self.up, self.down].map(|angle| f64::from(angle).tan());
         let (width, height) = (right - left, up - down);
-        Mat4::from_cols_array(
-            &[
-                [2.0 / width, 0.0, 0.0, 0.0],
-                [0.0, 2.0 / height, 0.0, 0.0],
-                [(right + left) / width, (up + down) / height, 0.0, -1.0],
-                [0.0, 0.0, f64::from(near), 0.0],
-            ]
-            .concat()
-            .try_into()
-            .map(|all: [f64; 16]| all.map(|v| v as f32))
-            .expect("four columns of four"),
-        )
+        let columns = [
+            [2.0 / width, 0.0, 0.0, 0.0],
+            [0.0, 2.0 / height, 0.0, 0.0],
+            [(right + left) / width, (up + down) / height, 0.0, -1.0],
+            [0.0, 0.0, f64::from(near), 0.0],
+        ];
+        Mat4::from_cols_array_2d(&columns.map(|column| column.map(|x| x as f32)))
     }
 }
 
