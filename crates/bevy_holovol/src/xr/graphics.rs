@@ -5,6 +5,7 @@
 //! [`Api`] and one more variant: device from the LUID that the runtime names, import of
 //! `ID3D12Resource`s through wgpu-hal.
 
+mod queue;
 // wgpu has no Vulkan on Apple's systems, nor have they OpenXR runtimes.
 #[cfg(not(target_vendor = "apple"))]
 mod vulkan;
@@ -21,6 +22,8 @@ use openxr::{
 use super::HeadsetError;
 use super::pose::EyeView;
 use super::runtime::Runtime;
+pub(crate) use queue::Exclusive;
+use queue::exclusively;
 
 /// Formats of pictures, the best first.
 const FORMATS: [TextureFormat; 3] = [
@@ -38,6 +41,16 @@ pub(crate) struct DeviceParts {
     pub(crate) adapter: wgpu::Adapter,
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
+}
+
+/// How often wgpu has submitted to queues that it shares with runtimes: for tests.
+pub fn queue_submissions() -> u64 {
+    #[cfg(not(target_vendor = "apple"))]
+    {
+        vulkan::submissions()
+    }
+    #[cfg(target_vendor = "apple")]
+    0
 }
 
 /// The device in use, as the runtime knows it.
@@ -217,7 +230,7 @@ pub(crate) trait Frames: Send {
 /// A swapchain with its images. Fields are dropped in this order.
 struct Images<G: openxr::Graphics> {
     layers: Vec<EyeLayers>,
-    swapchain: Swapchain<G>,
+    swapchain: Exclusive<Swapchain<G>>,
     format: TextureFormat,
     /// Between [`Frames::acquire`] and [`Frames::release`].
     is_acquired: bool,
@@ -243,19 +256,19 @@ impl<G: Api> Images<G> {
         let Some((format, number)) = found else {
             return Ok(None);
         };
-        let swapchain = session
-            .create_swapchain(&SwapchainCreateInfo {
-                create_flags: SwapchainCreateFlags::EMPTY,
-                // Copied from for mirrors and tests.
-                usage_flags: usage | SwapchainUsageFlags::TRANSFER_SRC,
-                format: number,
-                sample_count: 1,
-                width: size[0],
-                height: size[1],
-                face_count: 1,
-                array_size: 2,
-                mip_count: 1,
-            })
+        let info = SwapchainCreateInfo {
+            create_flags: SwapchainCreateFlags::EMPTY,
+            // Copied from for mirrors and tests.
+            usage_flags: usage | SwapchainUsageFlags::TRANSFER_SRC,
+            format: number,
+            sample_count: 1,
+            width: size[0],
+            height: size[1],
+            face_count: 1,
+            array_size: 2,
+            mip_count: 1,
+        };
+        let swapchain = exclusively(|| session.create_swapchain(&info).map(Exclusive::new))
             .map_err(HeadsetError::of("xrCreateSwapchain"))?;
         let layers = swapchain
             .enumerate_images()
@@ -272,8 +285,9 @@ impl<G: Api> Images<G> {
     }
 
     fn acquire(&mut self) -> Result<EyeLayers, sys::Result> {
-        let index = self.swapchain.acquire_image()?;
-        // openxr 0.21 can't tell a timeout from success, so there is none; a lost runtime ends it.
+        let index = exclusively(|| self.swapchain.acquire_image())?;
+        // Without the queue, by specification. openxr 0.21 can't tell a timeout from success, so
+        // there is none; a lost runtime ends it.
         self.swapchain.wait_image(openxr::Duration::INFINITE)?;
         self.is_acquired = true;
         let layers = self.layers.get(index as usize).cloned();
@@ -282,7 +296,7 @@ impl<G: Api> Images<G> {
 
     fn release(&mut self) -> Result<(), sys::Result> {
         if std::mem::take(&mut self.is_acquired) {
-            self.swapchain.release_image()?;
+            exclusively(|| self.swapchain.release_image())?;
         }
         Ok(())
     }
@@ -314,7 +328,7 @@ struct FramesOf<G: openxr::Graphics> {
 
 impl<G: Api> Frames for FramesOf<G> {
     fn begin(&mut self) -> Result<(), sys::Result> {
-        self.stream.begin()
+        exclusively(|| self.stream.begin())
     }
 
     fn acquire(&mut self) -> Result<EyeTargets, sys::Result> {
@@ -336,7 +350,7 @@ impl<G: Api> Frames for FramesOf<G> {
         submission: Option<&Submission<'_>>,
     ) -> Result<(), sys::Result> {
         let Some(submission) = submission else {
-            return self.stream.end(time, blend_mode, &[]);
+            return exclusively(|| self.stream.end(time, blend_mode, &[]));
         };
         let depth = self.depth.as_ref().zip(submission.depth);
         // What the views below point to.
@@ -360,7 +374,7 @@ impl<G: Api> Frames for FramesOf<G> {
             .layer_flags(flags)
             .space(submission.space)
             .views(&views);
-        self.stream.end(time, blend_mode, &[&layer])
+        exclusively(|| self.stream.end(time, blend_mode, &[&layer]))
     }
 }
 

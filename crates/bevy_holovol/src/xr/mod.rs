@@ -39,9 +39,6 @@
 //! # Limits
 //!
 //! - Vulkan only. Two views only.
-//! - The runtime and the workers of this program share one graphics queue. wgpu locks it for its own
-//!   submissions only, so that an upload may coincide with the runtime's; specifications forbid
-//!   that, and there is no way to lock it from here.
 
 mod capture;
 mod cost;
@@ -84,6 +81,8 @@ pub use capture::{CapturedFrame, EyeCapture};
 pub use cost::{CostOwner, FrameCost};
 pub use error::HeadsetError;
 pub use eyes::{EyeCamera, EyeImages, HeadPose, MixedRealityOrigin, before};
+#[doc(hidden)]
+pub use graphics::queue_submissions;
 pub use pose::{EyeView, FieldOfView};
 #[doc(hidden)]
 pub use pose::{RawView, TamperedViews};

@@ -1,10 +1,13 @@
 //! How sessions begin, end, and are lost.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use bevy::prelude::*;
+use bevy::render::renderer::RenderQueue;
 use bevy_holovol::VolumeStatistics;
 use bevy_holovol::xr::{
     FieldOfView, FrameCost, HeadsetBlend, HeadsetRequest, HeadsetState, MixedRealitySettings,
-    RawView, TamperedViews,
+    RawView, TamperedViews, queue_submissions,
 };
 
 use crate::SIMULATION;
@@ -23,6 +26,10 @@ pub const TESTS: &[crate::Test] = &[
     (
         "a_dead_runtime_is_reconnected_to",
         a_dead_runtime_is_reconnected_to,
+    ),
+    (
+        "workers_and_the_runtime_take_turns_at_the_queue",
+        shared_queue,
     ),
     (
         "unusable_views_draw_nothing_and_harm_nothing",
@@ -119,9 +126,40 @@ fn a_dead_runtime_is_reconnected_to() {
     stop(&mut app);
 }
 
+fn shared_queue() {
+    let mut app = with_volume(settings());
+    show(&mut app);
+    let queue = app.world().resource::<RenderQueue>().clone();
+    let is_done = AtomicBool::new(false);
+    let before = queue_submissions();
+    let submitted = std::thread::scope(|scope| {
+        let worker = scope.spawn(|| {
+            let mut submitted = 0;
+            while !is_done.load(Ordering::Relaxed) {
+                queue.submit([]);
+                submitted += 1;
+            }
+            submitted
+        });
+        for _ in 0..60 {
+            app.update();
+        }
+        is_done.store(true, Ordering::Relaxed);
+        worker.join().expect("no panic")
+    });
+    let counted = queue_submissions() - before;
+    eprintln!("{submitted} submissions of a worker during 60 frames");
+    assert!(submitted > 60, "{submitted}");
+    // The frames' own as well: all of wgpu's way to the queue is guarded.
+    assert!(counted >= submitted + 60, "{counted} of {submitted}");
+    assert_eq!(status(&app).state, HeadsetState::Focused);
+    assert_eq!(status(&app).problem, None);
+    stop(&mut app);
+}
+
 /// Late at first, and then a different kind of garbage in every frame.
 fn spoil(time: i64, view: &mut RawView) {
-    use std::sync::atomic::{AtomicU32, Ordering};
+    use std::sync::atomic::AtomicU32;
     static CALLS: AtomicU32 = AtomicU32::new(0);
     let call = CALLS.fetch_add(1, Ordering::Relaxed);
     assert!(time > 0);

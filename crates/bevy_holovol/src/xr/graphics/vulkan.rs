@@ -1,6 +1,8 @@
 //! Vulkan, through `XR_KHR_vulkan_enable2`: the runtime makes instance and device, with what it
 //! needs besides what wgpu asks for.
 
+mod hooks;
+
 use std::ffi::{CStr, c_void};
 use std::{fmt, ptr};
 
@@ -12,7 +14,10 @@ use openxr::{FrameStream, FrameWaiter, Session, Vulkan};
 
 use super::super::HeadsetError;
 use super::super::runtime::Runtime;
+use super::queue::exclusively;
 use super::{Api, DeviceParts};
+
+pub(crate) use hooks::submissions;
 
 /// As wgpu asks for, where it can be had.
 const WANTED_VERSION: openxr::Version = openxr::Version::new(1, 3, 0);
@@ -192,7 +197,7 @@ fn create_instance(
             .map_err(HeadsetError::of("xrCreateVulkanInstanceKHR"))?
             .map_err(|result| failed("Vulkan's instance")(&vk::Result::from_raw(result)))?;
         let handle = vk::Instance::from_raw(raw.expose_provenance() as u64);
-        Ok(ash::Instance::load(entry.static_fn(), handle))
+        Ok(hooks::load_instance(entry, handle))
     }
 }
 
@@ -230,7 +235,8 @@ fn create_device(
             .map_err(HeadsetError::of("xrCreateVulkanDeviceKHR"))?
             .map_err(|result| failed("the device")(&vk::Result::from_raw(result)))?;
         let handle = vk::Device::from_raw(raw.expose_provenance() as u64);
-        Ok(ash::Device::load(instance.fp_v1_0(), handle))
+        hooks::add_device(entry, instance, handle, queue_family_index)
+            .ok_or_else(|| failed("the device")(&"its driver lacks functions of Vulkan 1.0"))
     }
 }
 
@@ -289,14 +295,13 @@ impl Handles {
             queue_family_index: self.queue_family_index,
             queue_index: self.queue_index,
         };
+        let guard = Box::new(device.clone());
         // SAFETY: the handles are those of `device`, which the session keeps.
-        unsafe {
-            runtime.instance.create_session_with_guard::<Vulkan>(
-                runtime.system,
-                &info,
-                Box::new(device.clone()),
-            )
-        }
+        exclusively(|| unsafe {
+            runtime
+                .instance
+                .create_session_with_guard::<Vulkan>(runtime.system, &info, guard)
+        })
         .map_err(HeadsetError::of("xrCreateSession"))
     }
 }

@@ -7,10 +7,11 @@ use std::time::Duration;
 use bevy::prelude::*;
 use bevy::render::renderer::RenderDevice;
 use openxr::{
-    Event, EventDataBuffer, FrameWaiter, Posef, ReferenceSpaceType, SessionState, Time, sys,
+    AnyGraphics, Event, EventDataBuffer, FrameWaiter, Posef, ReferenceSpaceType, Session,
+    SessionState, Time, sys,
 };
 
-use super::super::graphics::GraphicsApi;
+use super::super::graphics::{Exclusive, GraphicsApi};
 use super::super::input::Input;
 use super::super::pose;
 use super::super::runtime::{Runtime, STEREO};
@@ -25,6 +26,8 @@ pub(crate) struct Live {
     pub(super) shared: Arc<SharedSession>,
     input: Input,
     pub(super) is_begun: bool,
+    /// Dropped last: what keeps the session until all else of it is gone.
+    _session: Exclusive<Session<AnyGraphics>>,
 }
 
 /// What ends a session.
@@ -94,6 +97,7 @@ impl Live {
             waiter: opened.waiter,
             input,
             is_begun: false,
+            _session: Exclusive::new(opened.session.clone()),
             shared: Arc::new(SharedSession {
                 session: opened.session,
                 space,
