@@ -34,7 +34,8 @@ pub enum HeadsetError {
         /// Its name and version.
         runtime: String,
     },
-    /// The runtime came back and wants another graphics device.
+    /// The runtime wants another graphics device, and the app may not be given one
+    /// ([`MixedRealitySettings::may_replace_device`](super::MixedRealitySettings::may_replace_device)).
     #[error(
         "the runtime now wants another graphics device than the one in use: end this program and \
          start it again"

@@ -10,17 +10,23 @@ mod queue;
 #[cfg(not(target_vendor = "apple"))]
 mod vulkan;
 
+use std::sync::Arc;
+
 use bevy::render::render_resource::TextureFormat;
+use bevy::render::renderer::{
+    RenderAdapter, RenderAdapterInfo, RenderDevice, RenderInstance, RenderQueue, WgpuWrapper,
+};
+use bevy::render::settings::RenderCreation;
 use holovol_render::wgpu;
 use openxr::{
     AnyGraphics, CompositionLayerFlags, CompositionLayerProjection, CompositionLayerProjectionView,
-    EnvironmentBlendMode, Extent2Di, Fovf, FrameStream, FrameWaiter, Offset2Di, Posef, Quaternionf,
-    Rect2Di, Session, Space, Swapchain, SwapchainCreateFlags, SwapchainCreateInfo,
-    SwapchainSubImage, SwapchainUsageFlags, Time, Vector3f, sys,
+    EnvironmentBlendMode, Extent2Di, Fovf, FrameStream, FrameWaiter, Offset2Di, Rect2Di, Session,
+    Space, Swapchain, SwapchainCreateFlags, SwapchainCreateInfo, SwapchainSubImage,
+    SwapchainUsageFlags, Time, sys,
 };
 
 use super::HeadsetError;
-use super::pose::EyeView;
+use super::pose::{EyeView, posef};
 use super::runtime::Runtime;
 pub(crate) use queue::Exclusive;
 use queue::exclusively;
@@ -36,6 +42,7 @@ const DEPTH_FORMATS: [TextureFormat; 2] =
     [TextureFormat::Depth32Float, TextureFormat::Depth16Unorm];
 
 /// The device that the runtime wants, and where it comes from.
+#[derive(Clone)]
 pub(crate) struct DeviceParts {
     pub(crate) instance: wgpu::Instance,
     pub(crate) adapter: wgpu::Adapter,
@@ -51,6 +58,20 @@ pub fn queue_submissions() -> u64 {
     }
     #[cfg(target_vendor = "apple")]
     0
+}
+
+impl DeviceParts {
+    /// For Bevy to render with.
+    pub(crate) fn into_creation(self) -> RenderCreation {
+        let info = self.adapter.get_info();
+        RenderCreation::manual(
+            RenderDevice::from(self.device),
+            RenderQueue(Arc::new(WgpuWrapper::new(self.queue))),
+            RenderAdapterInfo(WgpuWrapper::new(info)),
+            RenderAdapter(Arc::new(WgpuWrapper::new(self.adapter))),
+            RenderInstance(Arc::new(WgpuWrapper::new(self.instance))),
+        )
+    }
 }
 
 /// The device in use, as the runtime knows it.
@@ -72,6 +93,15 @@ impl GraphicsApi {
         Err(HeadsetError::NoVulkan {
             runtime: runtime.name.clone(),
         })
+    }
+
+    /// Whether it is the device in use. wgpu's own comparison tells devices of one instance apart,
+    /// and no others.
+    pub(crate) fn is_of(&self, device: &wgpu::Device) -> bool {
+        match *self {
+            #[cfg(not(target_vendor = "apple"))]
+            Self::Vulkan(ref handles) => handles.is_of(device),
+        }
     }
 
     /// A session on the device in use, which must be the one that the runtime wants.
@@ -360,7 +390,7 @@ impl<G: Api> Frames for FramesOf<G> {
         let views = [0, 1].map(|eye: usize| {
             let view = &submission.views[eye];
             let shown = CompositionLayerProjectionView::new()
-                .pose(posef(view))
+                .pose(posef(&view.pose))
                 .fov(fovf(view))
                 .sub_image(self.color.part(eye, self.size));
             with_depth(shown, depths.as_ref().map(|depths| &depths[eye]))
@@ -413,19 +443,6 @@ impl<G: openxr::Graphics> Drop for FramesOf<G> {
     fn drop(&mut self) {
         // The runtime frees the images: nothing may be drawing into them. A lost device is idle.
         let _ = self.device.poll(wgpu::PollType::wait_indefinitely());
-    }
-}
-
-fn posef(view: &EyeView) -> Posef {
-    let [x, y, z, w] = view.pose.rotation.to_array();
-    let [px, py, pz] = view.pose.translation.to_array();
-    Posef {
-        orientation: Quaternionf { x, y, z, w },
-        position: Vector3f {
-            x: px,
-            y: py,
-            z: pz,
-        },
     }
 }
 

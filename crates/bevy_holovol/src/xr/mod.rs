@@ -32,9 +32,10 @@
 //! # When things go wrong
 //!
 //! Nothing in the frame panics on what a runtime says. A session that is lost is opened again; so is
-//! the connection to a runtime that dies, on the same graphics device, as soon as it is back (looked
-//! for every second, on a worker). Meanwhile the app goes on, its window with it. Poses that are
-//! none leave the eyes where they were.
+//! the connection to a runtime that dies, as soon as it is back (looked for every second, on a
+//! worker): on the same graphics device, or on the one that it wants instead, with which Bevy goes on
+//! then. Meanwhile the app goes on, its window with it. Poses that are none leave the eyes where they
+//! were.
 //!
 //! # Limits
 //!
@@ -67,10 +68,6 @@ use bevy::prelude::*;
 use bevy::render::extract_component::ExtractComponentPlugin;
 use bevy::render::pipelined_rendering::PipelinedRenderingPlugin;
 use bevy::render::render_resource::TextureFormat;
-use bevy::render::renderer::{
-    RenderAdapter, RenderAdapterInfo, RenderDevice, RenderInstance, RenderQueue, WgpuWrapper,
-};
-use bevy::render::settings::RenderCreation;
 use bevy::render::{
     ExtractSchedule, GpuResourceAppExt, Render, RenderApp, RenderPlugin, RenderSystems,
 };
@@ -139,21 +136,9 @@ impl Headset {
     /// `DefaultPlugins`, or the like, on this headset's graphics device, and
     /// [`MixedRealityPlugin`]. Frames aren't pipelined: that would add one to the latency.
     pub fn plugins(self, plugins: impl PluginGroup) -> PluginGroupBuilder {
-        let DeviceParts {
-            instance,
-            adapter,
-            device,
-            queue,
-        } = self.parts;
-        let info = adapter.get_info();
+        let device = self.parts.device.clone();
         let plugins = plugins.build().set(RenderPlugin {
-            render_creation: RenderCreation::manual(
-                RenderDevice::from(device),
-                RenderQueue(Arc::new(WgpuWrapper::new(queue))),
-                RenderAdapterInfo(WgpuWrapper::new(info)),
-                RenderAdapter(Arc::new(WgpuWrapper::new(adapter))),
-                RenderInstance(Arc::new(WgpuWrapper::new(instance))),
-            ),
+            render_creation: self.parts.into_creation(),
             ..default()
         });
         let plugins = if plugins.contains::<PipelinedRenderingPlugin>() {
@@ -166,6 +151,9 @@ impl Headset {
             connection: Mutex::new(Some(Connection {
                 app_name: self.app_name,
                 api: self.api,
+                device,
+                is_in_use: true,
+                is_device_of_runtime: true,
                 link: Link::Found(self.runtime, None),
                 has_ended: false,
             })),
@@ -224,6 +212,13 @@ pub struct MixedRealitySettings {
     pub tampered_views: Option<TamperedViews>,
     #[doc(hidden)]
     pub synthetic_sight: Option<Arc<SyntheticSight>>,
+    /// Gives Bevy another graphics device where a runtime that was lost and found again wants one:
+    /// all on the device is made anew then, as after [any loss of
+    /// it](bevy::render::error_handler::RenderErrorPolicy::Recover). For apps whose plugins all stand
+    /// that; else the headset stays dark, and [`HeadsetStatus::problem`] says why. True by default.
+    pub may_replace_device: bool,
+    #[doc(hidden)]
+    pub refuses_device: bool,
     /// Ends the app with the session, when that ends by the user's will; true by default.
     pub exits_app: bool,
 }
@@ -253,6 +248,8 @@ impl Default for MixedRealitySettings {
             simulated_blend: None,
             tampered_views: None,
             synthetic_sight: None,
+            may_replace_device: true,
+            refuses_device: false,
             exits_app: true,
         }
     }
@@ -389,6 +386,8 @@ pub struct HeadsetStatus {
     pub sessions: u32,
     /// Runtimes found again since the start.
     pub reconnections: u32,
+    /// Graphics devices that Bevy was given since the start, for runtimes that wanted another.
+    pub device_changes: u32,
     /// How often the user made tracking space anew.
     pub recenterings: u32,
     /// Why there is no session, in plain words.
@@ -420,6 +419,7 @@ impl Plugin for MixedRealityPlugin {
             })
             .init_resource::<MixedRealitySettings>()
             .init_resource::<CurrentFrame>()
+            .init_resource::<session::Successor>()
             .init_resource::<HeadPose>()
             .add_message::<HeadsetRequest>()
             .add_plugins((

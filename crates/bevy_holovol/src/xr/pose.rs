@@ -7,6 +7,7 @@
 use std::f32::consts::FRAC_PI_2;
 
 use bevy::math::{Isometry3d, Mat4, Quat, Vec3};
+use openxr::{Posef, Quaternionf, Vector3f};
 
 /// Half-angles beyond ±89.5° have no useful tangent.
 const WIDEST: f32 = FRAC_PI_2 - 0.0087;
@@ -126,6 +127,20 @@ pub(crate) fn rotation(quaternion: [f32; 4]) -> Option<Quat> {
 pub(crate) fn place(position: [f32; 3]) -> Option<Vec3> {
     let position = Vec3::from(position);
     (position.is_finite() && position.abs().max_element() <= FARTHEST).then_some(position)
+}
+
+/// As the runtime takes it.
+pub(crate) fn posef(pose: &Isometry3d) -> Posef {
+    let [x, y, z, w] = pose.rotation.to_array();
+    let [px, py, pz] = pose.translation.to_array();
+    Posef {
+        orientation: Quaternionf { x, y, z, w },
+        position: Vector3f {
+            x: px,
+            y: py,
+            z: pz,
+        },
+    }
 }
 
 /// Between the eyes.

@@ -2,24 +2,28 @@
 
 mod live;
 mod shared;
+mod successor;
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bevy::math::Isometry3d;
 use bevy::prelude::*;
+use bevy::render::error_handler::RenderErrorHandler;
 use bevy::render::renderer::RenderDevice;
 use bevy::tasks::{IoTaskPool, Task, futures::check_ready};
+use holovol_render::wgpu;
 use openxr::Time;
 
 use super::cost::FrameCost;
-use super::graphics::GraphicsApi;
+use super::graphics::{DeviceParts, GraphicsApi};
 use super::pose::EyeView;
 use super::runtime::Runtime;
 use super::{HeadsetError, HeadsetRequest, HeadsetState, HeadsetStatus, MixedRealitySettings};
 use crate::interaction::Hands;
 use live::{End, Live};
 use shared::SharedSession;
+pub(crate) use successor::Successor;
 
 /// Between two looks for a runtime that is gone.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
@@ -51,6 +55,12 @@ pub(crate) struct FrameTiming {
 pub(crate) struct Connection {
     pub(crate) app_name: String,
     pub(crate) api: GraphicsApi,
+    /// That of the `api`, which lives as long as this.
+    pub(crate) device: wgpu::Device,
+    /// Bevy renders with it.
+    pub(crate) is_in_use: bool,
+    /// It was opened for the runtime in use; else for one that is gone.
+    pub(crate) is_device_of_runtime: bool,
     pub(crate) link: Link,
     /// After a stop that was wanted.
     pub(crate) has_ended: bool,
@@ -61,14 +71,28 @@ pub(crate) enum Link {
     Gone(Instant),
     Looking(Task<Result<Runtime, HeadsetError>>),
     Found(Runtime, Option<Box<Live>>),
+    /// The device that the runtime wants is opened.
+    Opening(
+        Runtime,
+        Task<Result<(GraphicsApi, DeviceParts), HeadsetError>>,
+    ),
+    /// Bevy is to go on with it.
+    HandingOver(Runtime),
+}
+
+/// What else of the app a connection has to do with.
+struct Surroundings<'a> {
+    /// Bevy's.
+    device: Res<'a, RenderDevice>,
+    settings: &'a MixedRealitySettings,
+    successor: &'a mut Successor,
 }
 
 impl Connection {
     /// Goes on by one frame.
     fn update(
         &mut self,
-        device: &RenderDevice,
-        settings: &MixedRealitySettings,
+        around: &mut Surroundings<'_>,
         requests: impl Iterator<Item = HeadsetRequest>,
         status: &mut HeadsetStatus,
     ) -> CurrentFrame {
@@ -79,12 +103,24 @@ impl Connection {
             }
         }
         self.look(status);
+        self.change_device(around, status);
         let Link::Found(runtime, live) = &mut self.link else {
             return CurrentFrame::default();
         };
         if live.is_none() && !self.has_ended {
-            match Live::open(runtime, &self.api, device, settings, status) {
+            let opened = if around.settings.refuses_device && !self.is_device_of_runtime {
+                Err(HeadsetError::OtherDevice)
+            } else {
+                Live::open(runtime, &self.api, &self.device, around.settings, status)
+            };
+            match opened {
                 Ok(opened) => *live = Some(Box::new(opened)),
+                Err(HeadsetError::OtherDevice)
+                    if around.settings.may_replace_device && !self.is_device_of_runtime =>
+                {
+                    self.open_device();
+                    return CurrentFrame::default();
+                }
                 Err(error) => {
                     self.lose(error, status);
                     return CurrentFrame::default();
@@ -135,6 +171,54 @@ impl Connection {
         }
     }
 
+    /// Opens the device that the runtime wants, on a worker: drivers take their time.
+    fn open_device(&mut self) {
+        if let Link::Found(runtime, _) = &self.link {
+            let runtime = runtime.clone();
+            let wanted = runtime.clone();
+            let task = IoTaskPool::get().spawn(async move { GraphicsApi::open_device(&wanted) });
+            self.link = Link::Opening(runtime, task);
+        }
+    }
+
+    /// Sees that Bevy renders with the device that the runtime has.
+    fn change_device(&mut self, around: &mut Surroundings<'_>, status: &mut HeadsetStatus) {
+        if around.device.is_changed() {
+            self.is_in_use = self.api.is_of(around.device.wgpu_device());
+        }
+        match &mut self.link {
+            // Bevy has lost the device and got another one, by the app's will.
+            Link::Found(_, live) if !self.is_in_use => {
+                *live = None;
+                status.state = HeadsetState::Lost;
+                if around.settings.may_replace_device {
+                    self.open_device();
+                } else {
+                    self.lose(HeadsetError::OtherDevice, status);
+                }
+            }
+            Link::Opening(runtime, task) => match check_ready(task) {
+                Some(Ok((api, parts))) => {
+                    self.api = api;
+                    self.device = parts.device.clone();
+                    self.is_in_use = false;
+                    self.link = Link::HandingOver(runtime.clone());
+                    around.successor.announce(parts, &around.device);
+                }
+                Some(Err(error)) => self.lose(error, status),
+                None => {}
+            },
+            Link::HandingOver(runtime) if self.is_in_use => {
+                around.successor.arrive();
+                info!("Bevy goes on with the graphics device of {}", runtime.name);
+                status.device_changes += 1;
+                self.is_device_of_runtime = true;
+                self.link = Link::Found(runtime.clone(), None);
+            }
+            _ => {}
+        }
+    }
+
     fn lose(&mut self, error: HeadsetError, status: &mut HeadsetStatus) {
         if status.state != HeadsetState::Lost || status.problem.is_none() {
             warn!("{error}");
@@ -159,6 +243,7 @@ impl Connection {
                 Some(Ok(runtime)) => {
                     info!("reconnected to {}", runtime.name);
                     status.reconnections += 1;
+                    self.is_device_of_runtime = false;
                     status.problem = None;
                     self.link = Link::Found(runtime, None);
                 }
@@ -178,6 +263,8 @@ impl Connection {
 pub(crate) fn update(
     mut connection: ResMut<Connection>,
     device: Res<RenderDevice>,
+    mut successor: ResMut<Successor>,
+    mut handler: ResMut<RenderErrorHandler>,
     settings: Res<MixedRealitySettings>,
     mut requests: MessageReader<HeadsetRequest>,
     mut status: ResMut<HeadsetStatus>,
@@ -189,7 +276,13 @@ pub(crate) fn update(
     let had_ended = status.state == HeadsetState::Ended;
     // The former frame's hold on a session ends here, so that a lost one can go.
     *frame = CurrentFrame::default();
-    *frame = connection.update(&device, &settings, requests.read().copied(), &mut status);
+    successor.listen(&mut handler);
+    let mut around = Surroundings {
+        device,
+        settings: &settings,
+        successor: &mut successor,
+    };
+    *frame = connection.update(&mut around, requests.read().copied(), &mut status);
     if let Some(timing) = &frame.timing {
         status.last_display_time = timing.display_time.as_nanos();
         status.is_tracked = frame.views.is_some();

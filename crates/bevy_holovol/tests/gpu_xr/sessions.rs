@@ -2,8 +2,11 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use bevy::ecs::change_detection::Tick;
 use bevy::prelude::*;
-use bevy::render::renderer::RenderQueue;
+use bevy::render::error_handler::{RenderErrorHandler, RenderErrorPolicy};
+use bevy::render::render_resource::PollType;
+use bevy::render::renderer::{RenderDevice, RenderQueue};
 use bevy_holovol::VolumeStatistics;
 use bevy_holovol::xr::{
     FieldOfView, FrameCost, HeadsetBlend, HeadsetRequest, HeadsetState, MixedRealitySettings,
@@ -26,6 +29,14 @@ pub const TESTS: &[crate::Test] = &[
     (
         "a_dead_runtime_is_reconnected_to",
         a_dead_runtime_is_reconnected_to,
+    ),
+    (
+        "a_runtime_that_wants_another_device_gets_it",
+        another_device,
+    ),
+    (
+        "a_lost_device_is_replaced_by_one_of_the_runtime",
+        lost_device,
     ),
     (
         "workers_and_the_runtime_take_turns_at_the_queue",
@@ -97,32 +108,108 @@ fn a_session_can_be_started_again() {
     stop(&mut app);
 }
 
+fn kill(app: &mut App) {
+    let mut simulation = SIMULATION.lock().expect("no panic");
+    simulation.as_mut().expect("a service").kill();
+    run_until(app, "lost", |app| status(app).state == HeadsetState::Lost);
+}
+
+fn revive() {
+    let mut simulation = SIMULATION.lock().expect("no panic");
+    let simulation = simulation.as_mut().expect("a service");
+    simulation.restart().expect("it starts again");
+}
+
+#[track_caller]
+fn assert_drawn(app: &mut App) {
+    let frame = capture(app);
+    for eye in 0..2 {
+        let bright = linear(&frame, eye).iter().filter(|p| p[0] > 0.1).count();
+        assert!(bright > 100, "the volume is drawn");
+    }
+}
+
 fn a_dead_runtime_is_reconnected_to() {
     let mut app = with_volume(settings());
     show(&mut app);
-    let simulation = || SIMULATION.lock().expect("no panic");
-    simulation().as_mut().expect("a service").kill();
-    run_until(&mut app, "lost", |app| {
-        status(app).state == HeadsetState::Lost
-    });
+    kill(&mut app);
     assert!(status(&app).problem.is_some());
     // The app goes on, and looks for the runtime in vain.
     for _ in 0..300 {
         app.update();
     }
     assert_eq!(status(&app).state, HeadsetState::Lost);
-    simulation()
-        .as_mut()
-        .expect("a service")
-        .restart()
-        .expect("it starts again");
+    revive();
     show(&mut app);
     let now = status(&app);
     assert_eq!((now.reconnections, now.sessions), (1, 2));
-    assert_eq!(now.problem, None);
-    let frame = capture(&mut app);
-    let bright = linear(&frame, 0).iter().filter(|p| p[0] > 0.1).count();
-    assert!(bright > 100, "the volume is drawn again");
+    assert_eq!((now.device_changes, now.problem), (0, None));
+    assert_drawn(&mut app);
+    stop(&mut app);
+}
+
+fn device(app: &App) -> RenderDevice {
+    app.world().resource::<RenderDevice>().clone()
+}
+
+/// When Bevy got it.
+fn device_tick(app: &App) -> Tick {
+    let device = app.world().get_resource_ref::<RenderDevice>();
+    device.expect("a device").last_changed()
+}
+
+/// Monado has but one device; that of the former instance counts as another than it wants.
+fn another_device() {
+    let mut app = with_volume(MixedRealitySettings {
+        refuses_device: true,
+        ..settings()
+    });
+    show(&mut app);
+    // Twice: as well from a device that Bevy was handed.
+    for changes in 1..=2 {
+        let former = device_tick(&app);
+        kill(&mut app);
+        revive();
+        run_until(&mut app, "on another device", |app| {
+            status(app).device_changes == changes
+        });
+        assert_ne!(device_tick(&app), former);
+        show(&mut app);
+        let now = status(&app);
+        assert_eq!((now.reconnections, now.sessions), (changes, changes + 1));
+        assert_eq!((now.device_changes, now.problem), (changes, None));
+        assert_drawn(&mut app);
+    }
+    // Where that isn't wanted the headset stays dark, and says why.
+    let former = device_tick(&app);
+    kill(&mut app);
+    let mut settings = app.world_mut().resource_mut::<MixedRealitySettings>();
+    settings.may_replace_device = false;
+    revive();
+    run_until(&mut app, "refused", |app| {
+        let problem = status(app).problem;
+        problem.is_some_and(|problem| problem.contains("another graphics device"))
+    });
+    assert_eq!(device_tick(&app), former);
+}
+
+/// What Bevy then opens by itself isn't one that the runtime could use.
+fn lost_device() {
+    let mut app = with_volume(settings());
+    app.insert_resource(RenderErrorHandler(|_, _, _| {
+        RenderErrorPolicy::Recover(default())
+    }));
+    show(&mut app);
+    let former = device(&app);
+    former.poll(PollType::wait_indefinitely()).expect("polled");
+    former.wgpu_device().destroy();
+    former.poll(PollType::wait_indefinitely()).expect("polled");
+    run_until(&mut app, "on another device", |app| {
+        status(app).device_changes == 1
+    });
+    show(&mut app);
+    assert_eq!(status(&app).problem, None);
+    assert_drawn(&mut app);
     stop(&mut app);
 }
 

@@ -10,7 +10,7 @@ use ash::vk::{self, Handle as _};
 use bevy::render::render_resource::TextureFormat;
 use holovol_render::wgpu::{self, hal};
 use openxr::sys::platform::VkGetInstanceProcAddr;
-use openxr::{FrameStream, FrameWaiter, Session, Vulkan};
+use openxr::{FrameStream, FrameWaiter, Session, Vulkan, sys};
 
 use super::super::HeadsetError;
 use super::super::runtime::Runtime;
@@ -259,10 +259,23 @@ fn has_optimus(entry: &ash::Entry) -> bool {
 }
 
 impl Handles {
+    /// As long as the device is there, its handle is no other's.
+    #[expect(unsafe_code, reason = "a look at the device behind wgpu's")]
+    pub(super) fn is_of(&self, device: &wgpu::Device) -> bool {
+        // SAFETY: nothing is done with it.
+        let device = unsafe { device.as_hal::<hal::api::Vulkan>() };
+        let handle = device.map(|device| device.raw_device().handle().as_raw() as usize);
+        handle == Some(self.device)
+    }
+
     /// A session on this device. It keeps the device.
     ///
     /// After the loss of an instance, the new one gets the device that was made for the former: what
-    /// counts is the physical device that the runtime names. If that is another, it is an error.
+    /// counts is the physical device that the runtime names.
+    ///
+    /// # Errors
+    /// [`HeadsetError::OtherDevice`] if that is another, or if the runtime doesn't take a device that
+    /// was made for another instance.
     #[expect(
         unsafe_code,
         reason = "handles of the graphics device cross to the runtime"
@@ -302,7 +315,10 @@ impl Handles {
                 .instance
                 .create_session_with_guard::<Vulkan>(runtime.system, &info, guard)
         })
-        .map_err(HeadsetError::of("xrCreateSession"))
+        .map_err(|result| match result {
+            sys::Result::ERROR_GRAPHICS_DEVICE_INVALID => HeadsetError::OtherDevice,
+            _ => HeadsetError::of("xrCreateSession")(result),
+        })
     }
 }
 

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use bevy::prelude::*;
-use bevy::render::renderer::RenderDevice;
+use holovol_render::wgpu;
 use openxr::{
     AnyGraphics, Event, EventDataBuffer, FrameWaiter, Posef, ReferenceSpaceType, Session,
     SessionState, Time, sys,
@@ -43,13 +43,13 @@ impl Live {
     pub(super) fn open(
         runtime: &Runtime,
         api: &GraphicsApi,
-        device: &RenderDevice,
+        device: &wgpu::Device,
         settings: &MixedRealitySettings,
         status: &mut HeadsetStatus,
     ) -> Result<Self, HeadsetError> {
         let size = runtime.eye_size(settings.eye_size, settings.resolution_factor())?;
         let wants_depth = settings.has_depth_layer && runtime.takes_depth;
-        let opened = api.open_session(runtime, device.wgpu_device(), size, wants_depth)?;
+        let opened = api.open_session(runtime, device, size, wants_depth)?;
         let offered = runtime.blend_modes()?;
         let (blend, blend_mode) = HeadsetBlend::choose(&settings.blend_preference, &offered)
             .ok_or(HeadsetError::NoBlendMode)?;
