@@ -254,7 +254,11 @@ impl Profile {
 }
 
 /// Where a space is; `None` while it isn't tracked.
-fn locate(space: &Space, base: &Space, time: Time) -> openxr::Result<Option<Isometry3d>> {
+pub(crate) fn locate(
+    space: &Space,
+    base: &Space,
+    time: Time,
+) -> openxr::Result<Option<Isometry3d>> {
     let location = space.locate(base, time)?;
     Ok(isometry(location.location_flags, &location.pose))
 }

@@ -41,6 +41,7 @@
 //!
 //! - Vulkan only. Two views only.
 
+mod anchors;
 mod capture;
 mod cost;
 mod error;
@@ -212,6 +213,10 @@ pub struct MixedRealitySettings {
     pub tampered_views: Option<TamperedViews>,
     #[doc(hidden)]
     pub synthetic_sight: Option<Arc<SyntheticSight>>,
+    /// Keeps what is [`Graspable`](crate::interaction::Graspable), and no other's child, where it
+    /// was put down in the room, by anchors of the headset where it has them
+    /// ([`HeadsetStatus::has_anchors`]); true by default.
+    pub locks_to_world: bool,
     /// Gives Bevy another graphics device where a runtime that was lost and found again wants one:
     /// all on the device is made anew then, as after [any loss of
     /// it](bevy::render::error_handler::RenderErrorPolicy::Recover). For apps whose plugins all stand
@@ -248,6 +253,7 @@ impl Default for MixedRealitySettings {
             simulated_blend: None,
             tampered_views: None,
             synthetic_sight: None,
+            locks_to_world: true,
             may_replace_device: true,
             refuses_device: false,
             exits_app: true,
@@ -376,6 +382,8 @@ pub struct HeadsetStatus {
     pub has_depth_layer: bool,
     /// Whether the headset knows where the eyes look.
     pub has_gaze: bool,
+    /// Whether the headset has anchors, which hold things at their places in the room.
+    pub has_anchors: bool,
     /// Whether the eyes' poses and fields of view are known.
     pub is_tracked: bool,
     /// Frames that the runtime has paced since the start.
@@ -429,7 +437,14 @@ impl Plugin for MixedRealityPlugin {
             .add_systems(PreStartup, eyes::spawn)
             .add_systems(
                 First,
-                (session::update, eyes::update, sight::update, pace::keep).chain(),
+                (
+                    session::update,
+                    eyes::update,
+                    anchors::follow,
+                    sight::update,
+                    pace::keep,
+                )
+                    .chain(),
             );
         let Some(render_app) = app.get_sub_app_mut(RenderApp) else {
             return;

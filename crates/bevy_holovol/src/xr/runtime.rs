@@ -45,6 +45,7 @@ impl Runtime {
         wanted.ext_eye_gaze_interaction = offered.ext_eye_gaze_interaction;
         wanted.ext_hand_tracking = offered.ext_hand_tracking;
         wanted.ext_hand_interaction = offered.ext_hand_interaction;
+        wanted.msft_spatial_anchor = offered.msft_spatial_anchor;
         wanted.msft_hand_interaction = offered.msft_hand_interaction;
         let info = ApplicationInfo {
             application_name: app_name,

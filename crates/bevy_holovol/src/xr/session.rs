@@ -15,6 +15,7 @@ use bevy::tasks::{IoTaskPool, Task, futures::check_ready};
 use holovol_render::wgpu;
 use openxr::Time;
 
+use super::anchors::{Anchors, RuntimeAnchor};
 use super::cost::FrameCost;
 use super::graphics::{DeviceParts, GraphicsApi};
 use super::pose::EyeView;
@@ -150,6 +151,14 @@ impl Connection {
             End::Runtime(error) => self.lose(error, status),
         }
         CurrentFrame::default()
+    }
+
+    /// Of the session, if there is one.
+    pub(crate) fn anchors(&mut self) -> Option<&mut Anchors<RuntimeAnchor>> {
+        match &mut self.link {
+            Link::Found(_, Some(live)) => Some(&mut live.anchors),
+            _ => None,
+        }
     }
 
     /// Ends the session as soon as the runtime agrees.

@@ -11,6 +11,7 @@ use openxr::{
     SessionState, Time, sys,
 };
 
+use super::super::anchors::{self, Anchors, RuntimeAnchor};
 use super::super::graphics::{Exclusive, GraphicsApi};
 use super::super::input::Input;
 use super::super::pose;
@@ -25,6 +26,7 @@ pub(crate) struct Live {
     waiter: FrameWaiter,
     pub(super) shared: Arc<SharedSession>,
     input: Input,
+    pub(super) anchors: Anchors<RuntimeAnchor>,
     pub(super) is_begun: bool,
     /// Dropped last: what keeps the session until all else of it is gone.
     _session: Exclusive<Session<AnyGraphics>>,
@@ -82,6 +84,7 @@ impl Live {
         status.blend = blend;
         status.eye_size = UVec2::from(opened.size);
         status.has_depth_layer = opened.depth_format.is_some();
+        status.has_anchors = anchors::functions(session).is_some();
         status.sessions += 1;
         status.problem = None;
         info!(
@@ -96,6 +99,7 @@ impl Live {
         Ok(Self {
             waiter: opened.waiter,
             input,
+            anchors: Anchors::default(),
             is_begun: false,
             _session: Exclusive::new(opened.session.clone()),
             shared: Arc::new(SharedSession {
