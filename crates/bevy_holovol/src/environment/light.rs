@@ -9,6 +9,7 @@ use bevy::prelude::*;
 use bevy::render::render_resource::{
     Extent3d, TextureDimension, TextureFormat, TextureViewDescriptor, TextureViewDimension,
 };
+use bevy::render::renderer::RenderDevice;
 use bevy::tasks::{AsyncComputeTaskPool, Task, futures::check_ready};
 use glam::{DMat3, DVec3};
 use half::f16;
@@ -135,6 +136,16 @@ pub(super) fn update_map(
     }
 }
 
+/// Has Bevy keep its own tables, which it would move to the device and forget. On another one they
+/// would be all zero, and of meshes in this light nothing but NaN would be seen.
+pub(super) fn keep_tables(images: &mut Assets<Image>) {
+    for (_, image) in images.iter_mut() {
+        if image.data.is_some() {
+            image.asset_usage |= RenderAssetUsages::MAIN_WORLD;
+        }
+    }
+}
+
 /// Starts filtering when there is another map and a camera that is to have it, and takes in what is
 /// done.
 pub(super) fn filter(
@@ -144,7 +155,12 @@ pub(super) fn filter(
     meshes: Query<(), With<Mesh3d>>,
     mut filtering: ResMut<Filtering>,
     mut images: ResMut<Assets<Image>>,
+    device: Option<Res<RenderDevice>>,
 ) {
+    // What was made is on the device only, and gone with it.
+    if device.is_some_and(|device| device.is_changed()) {
+        *filtering = Filtering::default();
+    }
     let Some(map) = &current.0 else {
         return;
     };

@@ -37,6 +37,12 @@ impl Plugin for VolumeEnvironmentPlugin {
             app.add_systems(PostUpdate, lights);
         }
     }
+
+    fn finish(&self, app: &mut App) {
+        if let Some(mut images) = app.world_mut().get_resource_mut::<Assets<Image>>() {
+            light::keep_tables(&mut images);
+        }
+    }
 }
 
 /// Light from all around, for all volumes and, by default, for the meshes that cameras with

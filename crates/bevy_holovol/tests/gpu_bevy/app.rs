@@ -8,9 +8,11 @@ use bevy::core_pipeline::tonemapping::{DebandDither, Tonemapping};
 use bevy::log::LogPlugin;
 use bevy::prelude::*;
 use bevy::render::RenderPlugin;
+use bevy::render::error_handler::{RenderErrorHandler, RenderErrorPolicy};
 use bevy::render::gpu_readback::{Readback, ReadbackComplete};
 use bevy::render::pipelined_rendering::PipelinedRenderingPlugin;
-use bevy::render::render_resource::{TextureFormat, TextureUsages};
+use bevy::render::render_resource::{PollType, TextureFormat, TextureUsages};
+use bevy::render::renderer::RenderDevice;
 use bevy::window::ExitCondition;
 use bevy::winit::WinitPlugin;
 use bevy_holovol::VolumeStatistics;
@@ -156,6 +158,24 @@ pub fn settings(max_samples: u32) -> VolumeRenderSettings {
 
 pub fn statistics(app: &App) -> Statistics {
     app.world().resource::<VolumeStatistics>().get()
+}
+
+/// Takes Bevy's device away, and has it open another one in the next frames.
+pub fn lose_device(app: &mut App) {
+    app.insert_resource(RenderErrorHandler(|_, _, _| {
+        RenderErrorPolicy::Recover(default())
+    }));
+    // Bevy 0.19 keeps the buffers that it reads back with for ten frames, and takes them for the
+    // other device's then.
+    for _ in 0..15 {
+        app.update();
+    }
+    let device = app.world().resource::<RenderDevice>().clone();
+    // What Bevy reads back of its own is taken in before: its callbacks don't expect to lose it.
+    device.poll(PollType::wait_indefinitely()).expect("polled");
+    device.wgpu_device().destroy();
+    // Bevy hears of it before the next frame; in the middle of one it may panic itself.
+    device.poll(PollType::wait_indefinitely()).expect("polled");
 }
 
 /// Updates until all images are done.

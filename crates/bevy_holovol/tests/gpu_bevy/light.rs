@@ -31,6 +31,10 @@ pub const TESTS: &[crate::Test] = &[
         diffuse_mesh_has_the_analytic_irradiance,
     ),
     (
+        "sky_and_light_are_there_again_on_another_device",
+        light_on_another_device,
+    ),
+    (
         "everything_is_tone_mapped_once",
         everything_is_tone_mapped_once,
     ),
@@ -281,6 +285,56 @@ fn diffuse_mesh_has_the_analytic_irradiance() {
         let found = read(&mut app, &target).middle();
         let expected = (1.0 + rotation_y.cos()) / 2.0;
         assert_near(&format!("turned by {rotation_y}"), found.y, expected, 0.03);
+    }
+}
+
+/// What is filtered lives on the device only.
+fn light_on_another_device() {
+    let mut app = app();
+    app.insert_resource(GlobalAmbientLight::NONE);
+    app.insert_resource(VolumeEnvironment {
+        intensity: unit_intensity(),
+        ..VolumeEnvironment::from_radiance(LinearRgba::rgb(0.5, 1.0, 2.0))
+    });
+    let world = app.world_mut();
+    let mesh = world
+        .resource_mut::<Assets<Mesh>>()
+        .add(Rectangle::new(0.3, 0.3));
+    let material = StandardMaterial {
+        base_color: Color::WHITE,
+        reflectance: 0.0,
+        perceptual_roughness: 1.0,
+        ..default()
+    };
+    let material = world
+        .resource_mut::<Assets<StandardMaterial>>()
+        .add(material);
+    world.spawn((Mesh3d(mesh), MeshMaterial3d(material)));
+    let target = target(&mut app, 16, 16);
+    let camera = spawn_camera(&mut app, &target, 4.0, settings(1));
+    wait_for_sky(&mut app, camera);
+    let look = |app: &mut App| {
+        let picture = read(app, &target);
+        [[7, 7, 9, 9], [0, 0, 16, 1]].map(|part| picture.mean(part).xyz())
+    };
+    let before = look(&mut app);
+    for found in before {
+        assert!(
+            (found - Vec3::new(0.5, 1.0, 2.0)).length() < 0.06,
+            "{found}"
+        );
+    }
+    lose_device(&mut app);
+    let started = Instant::now();
+    loop {
+        let found = look(&mut app);
+        let is_near = |i: usize| (found[i] - before[i]).length() < 0.01;
+        if is_near(0) && is_near(1) {
+            return;
+        }
+        let is_late = started.elapsed() > Duration::from_secs(20);
+        assert!(!is_late, "{found:?}, not {before:?}");
+        std::thread::sleep(Duration::from_millis(5));
     }
 }
 

@@ -8,6 +8,7 @@ use bevy::render::error_handler::{RenderErrorHandler, RenderErrorPolicy};
 use bevy::render::render_resource::PollType;
 use bevy::render::renderer::{RenderDevice, RenderQueue};
 use bevy_holovol::VolumeStatistics;
+use bevy_holovol::prelude::*;
 use bevy_holovol::xr::{
     FieldOfView, FrameCost, HeadsetBlend, HeadsetRequest, HeadsetState, MixedRealitySettings,
     RawView, TamperedViews, queue_submissions,
@@ -124,8 +125,10 @@ fn revive() {
 fn assert_drawn(app: &mut App) {
     let frame = capture(app);
     for eye in 0..2 {
-        let bright = linear(&frame, eye).iter().filter(|p| p[0] > 0.1).count();
-        assert!(bright > 100, "the volume is drawn");
+        // Neither black nor the sky.
+        let is_grey = |pixel: &&[f32; 4]| (0.1..0.9).contains(&pixel[0]);
+        let grey = linear(&frame, eye).iter().filter(is_grey).count();
+        assert!(grey > 1000, "the volume is drawn: {grey}");
     }
 }
 
@@ -158,13 +161,51 @@ fn device_tick(app: &App) -> Tick {
     device.expect("a device").last_changed()
 }
 
+/// Where a piece of metal hangs, above the volume.
+const MESH: Vec3 = Vec3::new(0.0, 2.0, -1.0);
+
+fn spawn_mesh(app: &mut App) {
+    let world = app.world_mut();
+    let mesh = Rectangle::new(0.2, 0.2);
+    let mesh = world.resource_mut::<Assets<Mesh>>().add(mesh);
+    let metal = StandardMaterial {
+        base_color: LinearRgba::gray(0.5).into(),
+        metallic: 1.0,
+        ..default()
+    };
+    let metal = world.resource_mut::<Assets<StandardMaterial>>().add(metal);
+    let place = Transform::from_translation(MESH);
+    world.spawn((Mesh3d(mesh), MeshMaterial3d(metal), place));
+}
+
+/// White sky, and what metal reflects of it: by our maps, and by a table that Bevy moves to the device
+/// and forgets.
+#[track_caller]
+fn wait_for_light(app: &mut App) {
+    let mut seen = [0.0; 2];
+    for _ in 0..200 {
+        let frame = capture(app);
+        let picture = linear(&frame, 1);
+        let [x, y] = project(&frame.views[1], frame.size, MESH).map(|c| c as usize);
+        seen = [0, x + frame.size[0] as usize * y].map(|pixel| picture[pixel][0]);
+        if seen[0] > 0.95 && (seen[1] - 0.5).abs() < 0.04 {
+            return;
+        }
+    }
+    panic!("sky and mesh: {seen:?}");
+}
+
 /// Monado has but one device; that of the former instance counts as another than it wants.
 fn another_device() {
     let mut app = with_volume(MixedRealitySettings {
         refuses_device: true,
         ..settings()
     });
+    spawn_mesh(&mut app);
+    let mut environment = app.world_mut().resource_mut::<VolumeEnvironment>();
+    (environment.is_sky, environment.lights_meshes) = (true, true);
     show(&mut app);
+    wait_for_light(&mut app);
     // Twice: as well from a device that Bevy was handed.
     for changes in 1..=2 {
         let former = device_tick(&app);
@@ -178,6 +219,7 @@ fn another_device() {
         let now = status(&app);
         assert_eq!((now.reconnections, now.sessions), (changes, changes + 1));
         assert_eq!((now.device_changes, now.problem), (changes, None));
+        wait_for_light(&mut app);
         assert_drawn(&mut app);
     }
     // Where that isn't wanted the headset stays dark, and says why.
