@@ -18,7 +18,7 @@ mod slice_views;
 mod slices;
 pub(crate) mod studio;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod transfer;
 
 use std::path::PathBuf;

@@ -36,7 +36,7 @@ const SIZE: u32 = 40;
 const SAMPLES: u32 = 256;
 
 /// Without an adapter there is nothing to compare.
-fn has_adapter() -> bool {
+pub(crate) fn has_adapter() -> bool {
     let found = Gpu::new(None).is_ok();
     let is_required = std::env::var_os("HOLOVOL_REQUIRE_GPU").is_some_and(|value| value == "1");
     assert!(found || !is_required, "there is no graphics adapter");
@@ -117,7 +117,7 @@ fn app() -> (App, Handle<Image>) {
     app_with(|_: &mut App| {})
 }
 
-fn app_with(more: impl Plugin) -> (App, Handle<Image>) {
+pub(crate) fn app_with(more: impl Plugin) -> (App, Handle<Image>) {
     let mut app = App::new();
     app.add_plugins(
         DefaultPlugins

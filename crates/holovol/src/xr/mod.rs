@@ -131,8 +131,6 @@ fn join(app: &mut App, args: &XrArgs, wanted: Wanted) {
             XrBlend::Opaque => HeadsetBlend::Opaque,
         }),
         resolution_scale: args.resolution,
-        // The panel's renderer keeps buffers of the device that it began with.
-        may_replace_device: false,
         // Pictures may take their time.
         volume_resolution: args.picture_prefix().is_none().then_some([0.4, 1.0]),
         ..default()

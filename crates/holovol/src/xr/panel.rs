@@ -6,8 +6,11 @@ use bevy::camera::visibility::RenderLayers;
 use bevy::ecs::schedule::ScheduleLabel;
 use bevy::light::NotShadowCaster;
 use bevy::prelude::*;
-use bevy::render::render_resource::TextureFormat;
+use bevy::render::render_resource::{SpecializedRenderPipelines, TextureFormat};
+use bevy::render::{GpuResourceAppExt, RenderApp};
 use bevy_egui::input::EguiInputEvent;
+use bevy_egui::render::EguiPipeline;
+use bevy_egui::render::systems::{EguiRenderData, EguiTransforms};
 use bevy_egui::{EguiContext, EguiInputSet, EguiPreUpdateSet, EguiSchedule, egui};
 use bevy_holovol::interaction::{InteractionSystems, SurfaceTouch, TouchPanel};
 use bevy_holovol::prelude::*;
@@ -46,6 +49,18 @@ impl Plugin for RoomPanelPlugin {
                 (toggle, spawn.run_if(is_open.and_then(run_once)), place).chain(),
             )
             .add_systems(RoomPanelPass, draw);
+    }
+
+    /// bevy_egui 0.42 makes these once: they are of the device that Bevy had then. What else it has
+    /// there is made in each frame, and fonts stay in the main world.
+    fn finish(&self, app: &mut App) {
+        if let Some(render_app) = app.get_sub_app_mut(RenderApp) {
+            render_app
+                .init_gpu_resource::<EguiPipeline>()
+                .init_gpu_resource::<SpecializedRenderPipelines<EguiPipeline>>()
+                .init_gpu_resource::<EguiTransforms>()
+                .init_gpu_resource::<EguiRenderData>();
+        }
     }
 }
 
@@ -287,7 +302,114 @@ fn noise(ui: &mut egui::Ui, eyes: &mut Query<&mut VolumeRenderSettings, With<Eye
 
 #[cfg(test)]
 mod tests {
+    use std::sync::{Arc, Mutex};
+    use std::time::{Duration, Instant};
+
+    use bevy::ecs::change_detection::Tick;
+    use bevy::render::error_handler::{RenderErrorHandler, RenderErrorPolicy};
+    use bevy::render::gpu_readback::{Readback, ReadbackComplete};
+    use bevy::render::render_resource::{PollType, TextureUsages};
+    use bevy::render::renderer::RenderDevice;
+    use bevy_egui::{EguiGlobalSettings, EguiPlugin};
+    use bevy_holovol::InteractionPlugin;
+
     use super::*;
+    use crate::preview::tests::{app_with, has_adapter};
+
+    const PATIENCE: Duration = Duration::from_secs(60);
+
+    /// An open panel without a headset.
+    fn room(app: &mut App) {
+        app.add_plugins((
+            EguiPlugin::default(),
+            InteractionPlugin,
+            RoomPanelPlugin { is_open: true },
+        ))
+        .insert_resource(EguiGlobalSettings {
+            auto_create_primary_context: false,
+            ..default()
+        })
+        .insert_resource(HeadPose(Some(Isometry3d::IDENTITY)))
+        .insert_resource(Placed(Some((AssetId::default(), Transform::IDENTITY))))
+        .add_message::<Action>();
+    }
+
+    fn read(app: &mut App, image: &Handle<Image>) -> Vec<u8> {
+        let found = Arc::new(Mutex::new(None));
+        let result = Arc::clone(&found);
+        let reader = app
+            .world_mut()
+            .spawn(Readback::texture(image.clone()))
+            .observe(move |event: On<ReadbackComplete>| {
+                *result.lock().unwrap() = Some(event.data.clone());
+            })
+            .id();
+        let start = Instant::now();
+        loop {
+            app.update();
+            if let Some(picture) = found.lock().unwrap().take() {
+                app.world_mut().despawn(reader);
+                return picture;
+            }
+            assert!(start.elapsed() < PATIENCE, "nothing was read back");
+        }
+    }
+
+    /// When Bevy got its device.
+    fn device_tick(app: &App) -> Tick {
+        let device = app.world().get_resource_ref::<RenderDevice>();
+        device.unwrap().last_changed()
+    }
+
+    #[test]
+    fn the_panel_is_there_again_on_another_device() {
+        if !has_adapter() {
+            return;
+        }
+        let (mut app, _) = app_with(room);
+        app.insert_resource(RenderErrorHandler(|_, _, _| {
+            RenderErrorPolicy::Recover(default())
+        }));
+        app.update();
+        let mut targets = app
+            .world_mut()
+            .query_filtered::<&RenderTarget, With<PanelCamera>>();
+        let target = targets.single(app.world()).unwrap().as_image().unwrap();
+        let target = target.clone();
+        {
+            let mut images = app.world_mut().resource_mut::<Assets<Image>>();
+            let mut image = images.get_mut(&target).unwrap();
+            image.texture_descriptor.usage |= TextureUsages::COPY_SRC;
+        }
+        let start = Instant::now();
+        let mut before = read(&mut app, &target);
+        loop {
+            let is_bright = |texel: &&[u8]| texel[0] > 100;
+            let written = before.chunks(4).filter(is_bright).count();
+            let now = read(&mut app, &target);
+            if written > 1000 && now == before {
+                break;
+            }
+            before = now;
+            assert!(start.elapsed() < PATIENCE, "no panel: {written}");
+        }
+        // Bevy 0.19 keeps the buffers that it reads back with for ten frames, and takes them for the
+        // other device's then.
+        for _ in 0..15 {
+            app.update();
+        }
+        let former = device_tick(&app);
+        let device = app.world().resource::<RenderDevice>().clone();
+        // What Bevy reads back doesn't expect to lose it.
+        device.poll(PollType::wait_indefinitely()).unwrap();
+        device.wgpu_device().destroy();
+        device.poll(PollType::wait_indefinitely()).unwrap();
+        let start = Instant::now();
+        while device_tick(&app) == former || read(&mut app, &target) != before {
+            app.update();
+            assert!(start.elapsed() < PATIENCE, "no panel");
+        }
+    }
 
     #[test]
     fn a_poke_is_a_click_where_it_is_and_leaves() {
