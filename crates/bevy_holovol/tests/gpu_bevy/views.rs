@@ -4,6 +4,7 @@ use bevy::camera::visibility::RenderLayers;
 use bevy::camera::{RenderTarget, Viewport};
 use bevy::prelude::*;
 use bevy::window::WindowRef;
+use bevy_holovol::VolumeSampling;
 
 use crate::app::*;
 
@@ -19,6 +20,10 @@ pub const TESTS: &[crate::Test] = &[
         each_camera_sees_its_layers,
     ),
     ("a_window_without_a_surface_harms_nothing", no_surface),
+    (
+        "fewer_samples_of_one_view_are_not_another_views",
+        samples_of_one_view,
+    ),
 ];
 
 /// A black block, a quarter of the height of what a camera sees, before white.
@@ -183,4 +188,23 @@ fn no_surface() {
         app.update();
     }
     assert!(middle_is_dark(&read(&mut app, &target), all));
+}
+
+/// As of a window beside a headset that saves samples, whose images are smaller.
+fn samples_of_one_view() {
+    let mut app = stage();
+    let small = target(&mut app, 24, 24);
+    let eye = spawn_camera(&mut app, &small, 4.0, settings(16));
+    let sampling = VolumeSampling {
+        fovea: 0.1,
+        far: 0.2,
+        periphery: 0.25,
+        ..default()
+    };
+    app.world_mut().entity_mut(eye).insert(sampling);
+    let large = target(&mut app, 96, 96);
+    spawn_camera(&mut app, &large, 4.0, settings(16));
+    finish(&mut app);
+    assert!(middle_is_dark(&read(&mut app, &small), [0, 0, 24, 24]));
+    assert!(middle_is_dark(&read(&mut app, &large), [0, 0, 96, 96]));
 }
