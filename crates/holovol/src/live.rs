@@ -89,7 +89,7 @@ impl Live {
                 slot,
                 view: View::from_camera(camera),
                 samples: spp,
-                max_samples: u32::MAX,
+                max_samples: spp,
                 restart: true,
                 mesh_depth: None,
             })

@@ -506,6 +506,9 @@ impl FrameTracer {
     }
 }
 
+/// Images of up to so many samples spread them over neighbours, too.
+const SPREAD_SAMPLES: u32 = 16;
+
 /// Another for every beginning, so that noise neither repeats in time nor between eyes.
 pub(crate) fn beginning_seed(seed: u64, beginning: u64) -> u64 {
     // The golden ratio's bits: multiples of it are far apart.

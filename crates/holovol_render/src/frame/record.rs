@@ -2,7 +2,9 @@
 
 use super::split::Split;
 use super::view::Slot;
-use super::{FrameKernels, FrameTracer, FrameWork, SHARE_BLOCK, ViewFrame, beginning_seed};
+use super::{
+    FrameKernels, FrameTracer, FrameWork, SHARE_BLOCK, SPREAD_SAMPLES, ViewFrame, beginning_seed,
+};
 use crate::RenderError;
 use crate::trace::{
     DispatchUniform, GpuCounters, PIXEL_BYTES, QUEUE_CAPACITY, ViewUniform, kernel_seed,
@@ -48,7 +50,11 @@ impl FrameTracer {
         let end = start.saturating_add(frame.samples).min(frame.max_samples);
         if end > start && frame.view.is_valid() {
             slot.samples = end;
-            slot.uniform.samples = [start, end, 0, 0];
+            let few = match frame.max_samples {
+                most @ ..=SPREAD_SAMPLES => most.next_power_of_two(),
+                _ => 0,
+            };
+            slot.uniform.samples = [start, end, few, 0];
         }
     }
 
@@ -128,7 +134,7 @@ impl FrameTracer {
             for view in &mut views {
                 let [start, end, ..] = view.samples;
                 let [first, last] = batch.map(|n| start.saturating_add(n).min(end));
-                view.samples = [first, last, 0, 0];
+                [view.samples[0], view.samples[1]] = [first, last];
             }
             views
         };

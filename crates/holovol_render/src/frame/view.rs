@@ -14,7 +14,8 @@ pub struct ViewFrame {
     pub view: View,
     /// Samples to add to every pixel.
     pub samples: u32,
-    /// Samples at which the image is done.
+    /// Samples at which the image is done. Up to 16 are spread over blocks of 16 × 16 pixels, so that
+    /// a mean over neighbours, as a denoiser takes it, has less noise; more of them over each pixel.
     pub max_samples: u32,
     /// Begin anew though the view is the same: something else has changed.
     pub restart: bool,

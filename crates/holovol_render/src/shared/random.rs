@@ -42,6 +42,16 @@ pub fn sobol_second_reversed(index: u32) -> u32 {
     x
 }
 
+/// Where a pixel stands along a Z-shaped curve through its block of 16 × 16.
+pub fn z_order(pixel: [u32; 2]) -> u32 {
+    let [x, y] = pixel.map(|v| {
+        let v = v & 15;
+        let v = (v | v << 2) & 0x33;
+        (v | v << 1) & 0x55
+    });
+    x | y << 1
+}
+
 /// Point `index` of the sequence of a seed.
 pub fn sobol_pair(index: u32, seed: u32) -> [f32; 2] {
     let seeds = pcg3d([seed, 0x2545_f491, 0x9e37_79b9]);

@@ -57,6 +57,14 @@ fn sobol_second_reversed(index: u32) -> u32 {
     return x;
 }
 
+// Where a pixel stands along a Z-shaped curve through its block of 16 x 16.
+fn z_order(pixel: vec2<u32>) -> u32 {
+    var v = pixel & vec2<u32>(15u);
+    v = (v | v << vec2<u32>(2u)) & vec2<u32>(0x33u);
+    v = (v | v << vec2<u32>(1u)) & vec2<u32>(0x55u);
+    return v.x | v.y << 1u;
+}
+
 // Point `index` of a shuffled, Owen-scrambled Sobol sequence in two dimensions: Burley 2020,
 // "Practical Hash-based Owen Scrambling". Different seeds give independent sequences.
 fn sobol_pair(index: u32, seed: u32) -> vec2<f32> {

@@ -6,7 +6,7 @@ use holovol_scene::Environment;
 
 use super::environment::Light;
 use super::phase_function::{phase_eval, phase_sample};
-use super::random::{pcg3d, sobol_pair, sobol_second_reversed, unit_float};
+use super::random::{pcg3d, sobol_pair, sobol_second_reversed, unit_float, z_order};
 use super::scattering::choose_light;
 use super::surface::{Surface, scatter_eval, scatter_pdf, scatter_sample};
 use super::walk::{Event, Walk};
@@ -66,6 +66,23 @@ fn every_elementary_interval_holds_one_point() {
                     taken[at] = true;
                 }
             }
+        }
+    }
+}
+
+/// Each place of a block once, and squares of 2, 4 and 8 pixels one after the other: their points are
+/// whole nets.
+#[test]
+fn squares_of_a_block_follow_each_other() {
+    let mut taken = [false; 256];
+    for (x, y) in (0..256u32).map(|i| (i % 16, i / 16)) {
+        let place = z_order([x + 32, y + 48]);
+        assert!(!taken[place as usize], "{x}, {y}");
+        taken[place as usize] = true;
+        for side in [2, 4, 8] {
+            let first = z_order([x / side * side, y / side * side]);
+            assert_eq!(first % (side * side), 0, "{x}, {y}");
+            assert_eq!(place / (side * side), first / (side * side), "{x}, {y}");
         }
     }
 }

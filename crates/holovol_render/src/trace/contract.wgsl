@@ -2,7 +2,9 @@
 // A lane reads four vectors and writes four; integers travel as the bits of floats.
 
 #import holovol_render::bindings::{scene, dispatch, accumulators, guides}
-#import holovol_render::random::{pcg3d, sobol_pair, owen_scramble_reversed, sobol_second_reversed}
+#import holovol_render::random::{
+    pcg3d, sobol_pair, z_order, owen_scramble_reversed, sobol_second_reversed,
+}
 #import holovol_render::field::{field_at, field_gradient}
 #import holovol_render::transfer_function::{transfer_sigma_t, transfer_emission, transfer_material}
 #import holovol_render::phase_function::{phase_eval, phase_sample}
@@ -35,7 +37,7 @@ fn random(@builtin(global_invocation_id) id: vec3<u32>) {
     output(id.x, 1u, vec4<f32>(sobol_pair(words.x, words.y), 0.0, 0.0));
     let scrambled = owen_scramble_reversed(words.x, words.y);
     let second = sobol_second_reversed(words.x);
-    output(id.x, 2u, bitcast<vec4<f32>>(vec4<u32>(scrambled, second, 0u, 0u)));
+    output(id.x, 2u, bitcast<vec4<f32>>(vec4<u32>(scrambled, second, z_order(words.xy), 0u)));
 }
 
 // (wo, g), (xi, 0, 0), (wi, 0): (drawn wi, its density), (density of wi, 0, 0, 0).

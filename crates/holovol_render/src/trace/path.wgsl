@@ -13,6 +13,9 @@ struct Path {
     view: u32,
     // In its view.
     pixel: u32,
+    // Not saved: which sequence of well-spread points the pixel has, and from where on.
+    sequence: u32,
+    first_point: u32,
     sample: u32,
     sample_end: u32,
     // Scatterings so far, and plain random numbers used so far.

@@ -10,7 +10,7 @@
     scene, views, dispatch, accumulators, counters, guides, mesh_depth_texture, shares_texture,
 }
 #import holovol_render::path::{Path, save_path, restore_path}
-#import holovol_render::random::{pcg3d, sobol_pair, unit_float, unit_float_pair, unit_float_triple}
+#import holovol_render::random::{pcg3d, sobol_pair, z_order, unit_float, unit_float_pair, unit_float_triple}
 #import holovol_render::field::{field_at, field_gradient}
 #import holovol_render::transfer_function::{
     transfer_sigma_t, transfer_emission, transfer_material,
@@ -49,6 +49,8 @@ const WALKS_PER_ROUND: u32 = 4u;
 const DIMENSION_PIXEL: u32 = 0u;
 const DIMENSION_FLIGHT: u32 = 1u;
 const DIMENSION_LIGHT: u32 = 2u;
+// Pixels along a side of a block that shares a sequence of points: those of z_order.
+const SPREAD_BLOCK: u32 = 16u;
 // Streams of plain random numbers, by the key's last word.
 const STREAM_SCATTER: u32 = 0x40000000u;
 const STREAM_STRIDE: u32 = 16u;
@@ -63,26 +65,45 @@ fn path_key(view: u32, pixel: u32, sample: u32) -> vec2<u32> {
     return pcg3d(vec3<u32>(pixel, sample, views[view].image.w)).xy;
 }
 
-// Of each pixel, view and dimension.
-fn well_spread_seeds(path: Path, dimension: u32) -> vec3<u32> {
-    return pcg3d(vec3<u32>(path.pixel, views[path.view].image.w ^ 0x85ebca6bu, dimension));
+// Pixels of few samples share the sequence of their block, which goes along a Z-shaped curve: those next
+// to each other have points far apart, so that a mean over neighbours knows more than as many samples of
+// one of them. Ahmed and Wonka 2020, "Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error via
+// Hierarchical Ordering of Pixels"; blocks of their own, so that no bad draw is that of a whole image.
+fn begin_sequence(path: ptr<function, Path>) {
+    let width = views[(*path).view].image.x;
+    let pixel = vec2<u32>((*path).pixel % width, (*path).pixel / width);
+    let samples = views[(*path).view].samples.z;
+    let block = pixel / SPREAD_BLOCK;
+    (*path).sequence = select((*path).pixel, block.x + width * block.y, samples > 0u);
+    (*path).first_point = samples * z_order(pixel);
 }
 
-fn well_spread(path: Path, index: u32, dimension: u32) -> vec2<f32> {
+// Of each sequence, view and dimension.
+fn well_spread_seeds(path: Path, dimension: u32) -> vec3<u32> {
+    return pcg3d(vec3<u32>(path.sequence, views[path.view].image.w ^ 0x85ebca6bu, dimension));
+}
+
+// per_sample: how many points of this dimension a sample takes.
+fn point_of(path: Path, index: u32, per_sample: u32) -> u32 {
+    return per_sample * path.first_point + index;
+}
+
+fn well_spread(path: Path, index: u32, dimension: u32, per_sample: u32) -> vec2<f32> {
 #if WHITE_NOISE == 1
     let view_seed = views[path.view].image.w;
     return unit_float_pair(pcg3d(vec3<u32>(path.pixel, index, view_seed ^ (0x85ebca6bu * (dimension + 1u)))).xy);
 #else
-    return sobol_pair(index, well_spread_seeds(path, dimension).x);
+    return sobol_pair(point_of(path, index, per_sample), well_spread_seeds(path, dimension).x);
 #endif
 }
 
 // One more number beside those two: a rotated lattice, by another seed.
-fn well_spread_third(path: ptr<function, Path>, index: u32, dimension: u32) -> f32 {
+fn well_spread_third(path: ptr<function, Path>, index: u32, dimension: u32, per_sample: u32) -> f32 {
 #if WHITE_NOISE == 1
     return path_random(path).x;
 #else
-    return unit_float(well_spread_seeds(*path, dimension).y + GOLDEN_STEP * index);
+    let point = point_of(*path, index, per_sample);
+    return unit_float(well_spread_seeds(*path, dimension).y + GOLDEN_STEP * point);
 #endif
 }
 
@@ -143,7 +164,7 @@ fn start_sample(path: ptr<function, Path>) {
     let view = (*path).view;
     let width = views[view].image.x;
     let corner = vec2<f32>(f32((*path).pixel % width), f32((*path).pixel / width));
-    let position = corner + well_spread(*path, (*path).sample, DIMENSION_PIXEL);
+    let position = corner + well_spread(*path, (*path).sample, DIMENSION_PIXEL, 1u);
     let origin = views[view].ray_origin + position.x * views[view].ray_origin_dx
         + position.y * views[view].ray_origin_dy;
     let texel = views[view].ray_texel + position.x * views[view].ray_texel_dx
@@ -152,9 +173,8 @@ fn start_sample(path: ptr<function, Path>) {
         + position.y * views[view].ray_world_dy;
     let metres_per_depth = length(world.xyz);
     (*path).wo = -world.xyz / metres_per_depth;
-    begin_flight(
-        path, origin.xyz, texel.xyz / metres_per_depth, well_spread(*path, (*path).sample, DIMENSION_FLIGHT),
-    );
+    let flight = well_spread(*path, (*path).sample, DIMENSION_FLIGHT, 1u);
+    begin_flight(path, origin.xyz, texel.xyz / metres_per_depth, flight);
 #if MESH_DEPTH == 1
     let depth = mesh_depth(view, position, (*path).sample) - views[view].forward.w;
     (*path).walk.t_end = min((*path).walk.t_end, depth * metres_per_depth);
@@ -284,7 +304,7 @@ fn scatter(path: ptr<function, Path>) {
     let picks = picks_at((*path).depth);
     let dimension = DIMENSION_LIGHT + 2u * (*path).depth;
     let index = picks * (*path).sample + pick;
-    let first = well_spread(*path, index, dimension);
+    let first = well_spread(*path, index, dimension, picks);
     let choice = choose_light(g, surface, (*path).wo, first, vec3<u32>((*path).key, stream));
     (*path).light = throughput * choice.weight / f32(picks);
     (*path).walk.origin = texel;
@@ -294,7 +314,7 @@ fn scatter(path: ptr<function, Path>) {
         (*path).depth += 1u;
 #if MULTIPLE_SCATTERING == 1
         let bits = pcg3d(vec3<u32>((*path).key, stream + STREAM_STRIDE - 1u));
-        let uv = well_spread(*path, (*path).sample, dimension + 1u);
+        let uv = well_spread(*path, (*path).sample, dimension + 1u, 1u);
         let wi = scatter_sample(g, surface, (*path).wo, vec3<f32>(uv, unit_float(bits.x)));
         (*path).next_wi = wi;
         (*path).throughput = throughput;
@@ -310,7 +330,7 @@ fn scatter(path: ptr<function, Path>) {
     }
     // Not "> 0": what is not a number must reach the check of the finished sample.
     if any((*path).light != vec3<f32>(0.0)) {
-        let tau = optical_depth_draw(well_spread_third(path, index, dimension));
+        let tau = optical_depth_draw(well_spread_third(path, index, dimension, picks));
         begin_walk(path, STAGE_SHADOW, walk_start(texel, texel_from_world(choice.wi), 0.0, tau));
         if (*path).walk.t_end <= (*path).walk.t_cell {
             (*path).radiance += (*path).light;
@@ -499,6 +519,7 @@ fn trace(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     path.stage = STAGE_START;
     path.view = group.z;
     path.pixel = pixel.x + image.x * pixel.y;
+    begin_sequence(&path);
     path.sample = samples.x;
     path.sample_end = samples.y;
 #if SAMPLE_SHARES == 1
@@ -514,5 +535,7 @@ fn resume(@builtin(global_invocation_id) invocation: vec3<u32>) {
         return;
     }
     load_occupied();
-    run(restore_path(invocation.x));
+    var path = restore_path(invocation.x);
+    begin_sequence(&path);
+    run(path);
 }

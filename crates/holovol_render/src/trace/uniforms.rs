@@ -42,7 +42,8 @@ pub(crate) struct ViewUniform {
     pub forward: [f32; 4],
     /// Width, height, first pixel in the accumulators, seed.
     pub image: [u32; 4],
-    /// First sample, one past the last, unused.
+    /// First sample, one past the last; of an image of few samples a power of two that holds them,
+    /// else 0; unused.
     pub samples: [u32; 4],
     /// Width, height, first layer, layers.
     pub mesh_depth: [u32; 4],

@@ -101,7 +101,7 @@ impl<'a> Rig<'a> {
                 slot,
                 view: View::from_camera(camera),
                 samples,
-                max_samples: u32::MAX,
+                max_samples: samples,
                 restart: true,
                 mesh_depth: None,
             })

@@ -97,11 +97,12 @@ pub fn equal_the_offline_tracer(gpu: &Gpu) -> Result<(), String> {
     let cameras = [scene.camera, other];
     let rooms = cameras.map(|camera| [camera.width + 3, camera.height]);
     tracer.set_views(&rooms).map_err(text)?;
-    let views = [view(0, &scene.camera, 1, 5), view(1, &other, 2, 7)];
+    // More than what is spread over neighbours, which the offline tracer doesn't do.
+    let views = [view(0, &scene.camera, 4, 17), view(1, &other, 6, 29)];
     for _ in 0..5 {
         frame(gpu, &mut tracer, &views, None)?;
     }
-    for (slot, (camera, samples)) in cameras.into_iter().zip([5, 7]).enumerate() {
+    for (slot, (camera, samples)) in cameras.into_iter().zip([17, 29]).enumerate() {
         let scene = Scene {
             camera,
             ..scene.clone()
@@ -125,6 +126,82 @@ pub fn equal_the_offline_tracer(gpu: &Gpu) -> Result<(), String> {
         return Err(format!("a finished image costs {idle:?}"));
     }
     Ok(())
+}
+
+/// Samples of an image of few are spread over neighbours: pixels have the mean and the noise that they
+/// have alone, means over 8 × 8 of them have less. Two frames of four give what one of eight gives, and
+/// so do paths that go on in further dispatches.
+pub fn few_samples_are_spread(gpu: &Gpu) -> Result<(), String> {
+    const SIDE: u32 = 32;
+    const SEEDS: u64 = 24;
+    let mut scene = scenes::scene();
+    scene.camera.width = SIDE;
+    scene.camera.height = SIDE;
+    scene.integrator.max_scatters = Some(1);
+    // Of one density, so that the first point of a path decides about its collision.
+    scene.volume = scenes::random_volume([21, 9, 14], 1, 0.0);
+    scene.transfer_function = TransferFunction::new(vec![scenes::point(0.0, 8.0)]).map_err(text)?;
+    let image = |seed, budget, samples, frames, most| {
+        let options = TraceOptions {
+            seed,
+            budget,
+            ..Default::default()
+        };
+        let mut tracer = tracer(gpu, &scene, &options)?;
+        tracer.set_views(&[[SIDE; 2]]).map_err(text)?;
+        let views = [view(0, &scene.camera, samples, most)];
+        for _ in 0..frames {
+            frame(gpu, &mut tracer, &views, None)?;
+        }
+        tracer.read_image(0).map_err(text)
+    };
+    let budget = TraceOptions::default().budget;
+    let whole = bits(&image(1, budget, 8, 1, 8)?);
+    if bits(&image(1, budget, 4, 2, 8)?) != whole || bits(&image(1, 7, 8, 8, 8)?) != whole {
+        return Err("eight samples depend on how they are taken".into());
+    }
+    let images = |most| -> Result<Vec<_>, String> {
+        let images = (0..SEEDS).map(|seed| image(seed + 1, budget, 2, 1, most));
+        images.collect()
+    };
+    let (spread, alone) = (images(2)?, images(u32::MAX)?);
+    for (channel, gain) in [(1, 0.85), (3, 0.6)] {
+        let of = |side| {
+            let [a, b] =
+                [&spread, &alone].map(|images| mean_and_noise(images, SIDE, side, channel));
+            [a[0] / b[0], a[1] / b[1]]
+        };
+        let ([mean, pixels], [_, squares]) = (of(1), of(8));
+        let same = (mean - 1.0).abs() < 0.02 && (pixels - 1.0).abs() < 0.1;
+        if !same || squares > gain {
+            return Err(format!(
+                "channel {channel}, spread of alone: mean {mean}, noise of pixels {pixels}, of squares {squares}"
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Mean over the image, and the variance over seeds of what squares of `side` × `side` pixels have as
+/// their means.
+fn mean_and_noise(images: &[Vec<[f32; 4]>], width: u32, side: u32, channel: usize) -> [f64; 2] {
+    let across = width / side;
+    let squares = (0..across * across).map(|square| {
+        let corner = [square % across * side, square / across * side];
+        let values = images.iter().map(|image| {
+            let inside = (0..side * side).map(|i| {
+                let pixel = corner[0] + i % side + width * (corner[1] + i / side);
+                f64::from(image[pixel as usize][channel])
+            });
+            inside.sum::<f64>() / f64::from(side * side)
+        });
+        let values: Vec<_> = values.collect();
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        let squared = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+        [mean, squared / (values.len() - 1) as f64]
+    });
+    let sums = squares.fold([0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
+    sums.map(|sum| sum / f64::from(across * across))
 }
 
 /// A frame that is split into many dispatches is bit by bit the one that isn't.

@@ -6,7 +6,7 @@ use holovol_render::testing::twins::environment::Light;
 use holovol_render::testing::twins::field::{Field, texels};
 use holovol_render::testing::twins::phase_function::{phase_eval, phase_sample};
 use holovol_render::testing::twins::random::{
-    owen_scramble_reversed, pcg3d, sobol_pair, sobol_second_reversed,
+    owen_scramble_reversed, pcg3d, sobol_pair, sobol_second_reversed, z_order,
 };
 use holovol_render::testing::twins::scattering::choose_light;
 use holovol_render::testing::twins::surface::{Surface, scatter_eval, scatter_pdf, scatter_sample};
@@ -105,7 +105,12 @@ pub fn random_numbers(gpu: &Gpu) -> Result<(), String> {
         let expected = [
             [hashed[0], hashed[1], hashed[2], 0],
             [sx, sy, 0, 0],
-            [owen_scramble_reversed(x, y), sobol_second_reversed(x), 0, 0],
+            [
+                owen_scramble_reversed(x, y),
+                sobol_second_reversed(x),
+                z_order([x, y]),
+                0,
+            ],
         ];
         if words[..3] != expected {
             return Err(format!(

@@ -48,6 +48,7 @@ const CHECKS: &[(&str, Check)] = &[
     ),
     ("empty_cells_are_left_out", grids::empty_cells),
     ("same_seed_gives_the_same_bits", determinism::same_bits),
+    ("few_samples_are_spread", frames::few_samples_are_spread),
     ("guides_describe_a_slab", guides::slab),
     ("guides_give_the_gradient_of_a_ramp", guides::ramp),
     (
