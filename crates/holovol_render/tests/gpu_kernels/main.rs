@@ -2,6 +2,7 @@
 //! draw what they evaluate, and bound what they skip. Then damages them, to see that it shows.
 
 mod denoise;
+mod denoise_march;
 mod denoise_sun;
 mod denoise_twins;
 mod determinism;
@@ -92,6 +93,7 @@ const CHECKS: &[(&str, Check)] = &[
         "denoiser_outlives_upheavals",
         denoise::upheavals_leave_no_trace,
     ),
+    ("march_equals_quadrature", denoise_march::equals_quadrature),
     ("denoiser_keeps_the_mean", denoise::the_mean_is_kept),
     (
         "denoiser_keeps_history_at_other_resolutions",

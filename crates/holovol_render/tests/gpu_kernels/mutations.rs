@@ -4,8 +4,8 @@ use holovol_render::Gpu;
 use holovol_render::testing::Mutation;
 
 use super::{
-    Check, denoise, denoise_sun, denoise_twins, determinism, draws, frames, functions, grids,
-    guides,
+    Check, denoise, denoise_march, denoise_sun, denoise_twins, determinism, draws, frames,
+    functions, grids, guides,
 };
 
 /// How a failure to compose or compile a kernel begins, see `RenderError::Internal`.
@@ -198,6 +198,30 @@ pub const MUTATIONS: &[Caught] = &[
     ),
     caught(
         MARCH,
+        "passed.x * passed.y);",
+        "passed.x * passed.x);",
+        denoise_march::equals_quadrature,
+    ),
+    caught(
+        MARCH,
+        "sum2 += dot(weights, depths * depths);",
+        "sum2 += dot(weights, depths * depths) * 1.01;",
+        denoise_march::equals_quadrature,
+    ),
+    caught(
+        MARCH,
+        "dot(weights, values) / max(here, 1e-30)",
+        "values.x",
+        denoise_march::equals_quadrature,
+    ),
+    caught(
+        MARCH,
+        "let place = t + dt * (part",
+        "let place = t + 3.0 * dt * (part",
+        denoise_sun::shadows_stay_sharp,
+    ),
+    caught(
+        MARCH,
         "dot(scene.texel_from_world_y.xyz, wi),",
         "-dot(scene.texel_from_world_y.xyz, wi),",
         denoise_sun::shadows_stay_sharp,
@@ -261,6 +285,24 @@ pub const MUTATIONS: &[Caught] = &[
         "clamp(mean.rgb / (guide.rgb",
         "clamp(1.03 * mean.rgb / (guide.rgb",
         denoise::the_mean_is_kept,
+    ),
+    caught(
+        RANDOM,
+        "v = (v | v << vec2<u32>(1u))",
+        "v = (v | v << vec2<u32>(3u))",
+        functions::random_numbers,
+    ),
+    caught(
+        TRACE,
+        "samples * z_order(pixel);",
+        "samples * z_order(pixel.xx);",
+        frames::few_samples_are_spread,
+    ),
+    caught(
+        TRACE,
+        "block.x + width * block.y, samples > 0u);",
+        "(*path).pixel, samples > 0u);",
+        frames::few_samples_are_spread,
     ),
     caught(RANDOM, "1664525u", "1664527u", functions::random_numbers),
     caught(

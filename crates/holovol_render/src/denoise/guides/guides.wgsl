@@ -16,6 +16,7 @@
 // place is known; and evaluations of the transfer function in it.
 const STEP: vec2<f32> = vec2<f32>(2.0, 1.0);
 const PARTS: u32 = 3u;
+const MIDDLES: vec3<f32> = vec3<f32>(1.0 / 6.0, 0.5, 5.0 / 6.0);
 // Steps at most: a volume of 4096 texels a side is crossed; longer ones in longer steps.
 const MAX_STEPS: f32 = 4096.0;
 // What is left behind this transmittance is taken to be as what is in front.
@@ -166,7 +167,7 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         }
         let most_taken = transmittance * majorant * fine * length_world;
         let longer = select(select(1.0, 2.0, most_taken < THIN.x), 4.0, most_taken < THIN.y);
-        let dt = fine * min(longer, steps_inside);
+        let dt = min(fine * min(longer, steps_inside), walk.t_end - t);
         let metres = dt * length_world / f32(PARTS);
         if !known {
             s = field_at(origin + t * texel);
@@ -188,37 +189,50 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
                 transfer_sigma_t(values.x), transfer_sigma_t(values.y), transfer_sigma_t(values.z),
             );
         }
+        let enters = transmittance;
         // Where there is nothing, nothing is added up.
-        let parts = select(0u, PARTS, sigma.x + sigma.y + sigma.z > 0.0);
-        for (var k = 0u; k < parts; k += 1u) {
-            let part = (f32(k) + 0.5) / f32(PARTS);
-            let value = select(select(values.z, values.y, k == 1u), values.x, k == 0u);
-            let sigma_t = select(select(sigma.z, sigma.y, k == 1u), sigma.x, k == 0u);
-            let taken = transmittance * (1.0 - exp(-sigma_t * metres));
-            let depth = t - walk.t_cell + part * dt;
+        for (var once = sigma.x + sigma.y + sigma.z > 0.0; once; once = false) {
+            let passed = exp(-sigma * metres);
+            let before = transmittance * vec3<f32>(1.0, passed.x, passed.x * passed.y);
+            let behind = before * passed;
+            let depths = t - walk.t_cell + dt * MIDDLES;
 #if MESH_DEPTH == 1
-            // What of this part lies before the meshes.
-            let reach = clamp((ends.xy - t) / dt * f32(PARTS) - f32(k), vec2<f32>(0.0), vec2<f32>(1.0));
-            let seen = transmittance * (1.0 - exp(-sigma_t * metres * reach));
-            let weight = mix(seen.x, seen.y, ends.z);
-            left = mix(reach.x, reach.y, ends.z);
+            // What of each part lies before the meshes.
+            let parts = vec3<f32>(0.0, 1.0, 2.0);
+            let near_reach = clamp((ends.x - t) / dt * f32(PARTS) - parts, vec3<f32>(0.0), vec3<f32>(1.0));
+            let far_reach = clamp((ends.y - t) / dt * f32(PARTS) - parts, vec3<f32>(0.0), vec3<f32>(1.0));
+            let reached = mix(exp(-sigma * metres * near_reach), exp(-sigma * metres * far_reach), ends.z);
+            let weights = before * (1.0 - reached);
+            left = mix(near_reach.z, far_reach.z, ends.z);
 #else
-            let weight = taken;
+            let weights = before - behind;
 #endif
-            opacity += weight;
-            albedo += weight * transfer_material(value).albedo;
-            sum += weight * depth;
-            sum2 += weight * depth * depth;
-            let enters = transmittance;
-            transmittance -= taken;
-            let crosses = vec2<f32>(enters) >= LIT & vec2<f32>(transmittance) < LIT;
-            let share = log(enters / LIT) / max(sigma_t * metres, 1e-20);
-            let place = t + dt * (f32(k) + clamp(share, vec2<f32>(0.0), vec2<f32>(1.0))) / f32(PARTS);
+            let here = weights.x + weights.y + weights.z;
+            opacity += here;
+            albedo += here * transfer_material(dot(weights, values) / max(here, 1e-30)).albedo;
+            sum += dot(weights, depths);
+            sum2 += dot(weights, depths * depths);
+            transmittance = behind.z;
+            let turns = select(select(depths.z, depths.y, behind.y < NORMAL_TRANSMITTANCE), depths.x,
+                behind.x < NORMAL_TRANSMITTANCE);
+            normal_depth = select(normal_depth, turns, normal_depth < 0.0 && behind.z < NORMAL_TRANSMITTANCE);
+        }
+        // Where light is asked for: in the part where transmittance falls so far, by its logarithm.
+        let crosses = vec2<f32>(enters) >= LIT & vec2<f32>(transmittance) < LIT;
+        for (var once = has_sun && any(crosses); once; once = false) {
+            let first = vec2<f32>(sigma.x * metres);
+            let second = first + sigma.y * metres;
+            let wanted = log(enters / LIT);
+            let in_second = wanted >= first;
+            let in_third = wanted >= second;
+            let sigma_t = select(select(vec2<f32>(sigma.x), vec2<f32>(sigma.y), in_second), vec2<f32>(sigma.z), in_third);
+            let passed = select(select(vec2<f32>(0.0), first, in_second), second, in_third);
+            let part = select(select(vec2<f32>(0.0), vec2<f32>(1.0), in_second), vec2<f32>(2.0), in_third);
+            let share = (wanted - passed) / max(sigma_t * metres, vec2<f32>(1e-20));
+            let place = t + dt * (part + clamp(share, vec2<f32>(0.0), vec2<f32>(1.0))) / f32(PARTS);
             lit = select(lit, place, crosses);
+            let value = select(select(values.x, values.y, in_second.x), values.z, in_third.x);
             lit_value = select(lit_value, value, crosses.x);
-            if normal_depth < 0.0 && transmittance < NORMAL_TRANSMITTANCE {
-                normal_depth = depth;
-            }
         }
         s = next;
         known = true;

@@ -1,0 +1,149 @@
+//! The march that makes the denoiser's guides, against quadrature in f64.
+
+use glam::{DMat4, DVec3};
+use holovol_render::{DenoiseMode, DenoiseSettings, Gpu};
+use holovol_scene::{Camera, Scene};
+use holovol_volume::{TransferFunction, TransferPoint, Voxels};
+
+use super::denoise::{Rig, text};
+use super::scenes;
+
+const SIDE: u32 = 24;
+/// Of a ray; its error is below 1e-6.
+const STEPS: u32 = 4000;
+
+/// Linear in the unit cube, so that interpolation adds no error of its own.
+fn field(place: DVec3) -> f64 {
+    let half = 0.5 / f64::from(SIDE);
+    let inside = place.clamp(DVec3::splat(half), DVec3::splat(1.0 - half));
+    0.1 + inside.dot(DVec3::new(0.5, 0.2, 0.1))
+}
+
+fn scene(sigma_t: f64) -> Result<Scene, String> {
+    let voxel = |i: u32| {
+        let index = [i % SIDE, i / SIDE % SIDE, i / SIDE / SIDE];
+        let place = DVec3::from_array(index.map(|n| (f64::from(n) + 0.5) / f64::from(SIDE)));
+        field(place) as f32
+    };
+    let points = vec![
+        scenes::point(0.2, 0.0),
+        TransferPoint {
+            albedo: [0.1, 0.4, 0.8],
+            ..scenes::point(0.85, sigma_t)
+        },
+    ];
+    Ok(Scene {
+        volume: scenes::volume(
+            Voxels::F32((0..SIDE.pow(3)).map(voxel).collect()),
+            [SIDE; 3],
+        ),
+        window: [0.0, 1.0],
+        transfer_function: TransferFunction::new(points).map_err(text)?,
+        camera: Camera {
+            width: 60,
+            height: 45,
+            ..scenes::scene().camera
+        },
+        ..scenes::scene()
+    })
+}
+
+struct Expected {
+    albedo: DVec3,
+    opacity: f64,
+    /// Metres along the camera's axis: mean and standard deviation.
+    depth: [f64; 2],
+}
+
+/// What the ray through the middle of a pixel meets.
+fn quadrature(scene: &Scene, x: u32, y: u32) -> Expected {
+    let camera = &scene.camera;
+    let forward = (camera.target - camera.eye).normalize();
+    let right = forward.cross(camera.up).normalize();
+    let up = right.cross(forward);
+    let scale = 2.0 * (0.5 * camera.fov_y).tan() / f64::from(camera.height);
+    let across = scale * (f64::from(x) + 0.5 - 0.5 * f64::from(camera.width));
+    let down = scale * (f64::from(y) + 0.5 - 0.5 * f64::from(camera.height));
+    let per_depth = forward + across * right - down * up;
+    let inverse: DMat4 = scene.world_from_unit_cube.inverse();
+    let origin = inverse.transform_point3(camera.eye);
+    let direction = inverse.transform_vector3(per_depth);
+    let (a, b) = (-origin / direction, (1.0 - origin) / direction);
+    let enters = a.min(b).max_element().max(0.0);
+    let leaves = a.max(b).min_element();
+    let step = (leaves - enters).max(0.0) / f64::from(STEPS);
+    let points = scene.transfer_function.points();
+    let [mut transmittance, mut sum, mut sum2] = [1.0, 0.0, 0.0];
+    let mut albedo = DVec3::ZERO;
+    for i in 0..STEPS {
+        let depth = enters + step * (f64::from(i) + 0.5);
+        let s = field(origin + depth * direction);
+        let share = ((s - points[0].s) / (points[1].s - points[0].s)).clamp(0.0, 1.0);
+        let sigma_t = share * points[1].sigma_t;
+        let taken = transmittance * (1.0 - (-sigma_t * step * per_depth.length()).exp());
+        let colours = points[..2].iter().map(|p| DVec3::from_array(p.albedo));
+        let [low, high] = <[DVec3; 2]>::try_from(colours.collect::<Vec<_>>()).expect("two points");
+        albedo += taken * low.lerp(high, share);
+        sum += taken * depth;
+        sum2 += taken * depth * depth;
+        transmittance -= taken;
+    }
+    let opacity = 1.0 - transmittance;
+    let mean = sum / opacity;
+    Expected {
+        albedo,
+        opacity,
+        depth: [mean, (sum2 / opacity - mean * mean).max(0.0).sqrt()],
+    }
+}
+
+/// Albedo, opacity, depth and spread of thin and of dense media, with and without a dominant light,
+/// which marches in other steps.
+pub fn equals_quadrature(gpu: &Gpu) -> Result<(), String> {
+    // Media that hide what is behind are marched until 0.04 of it is left.
+    for (sigma_t, within) in [(8.0, 0.004), (200.0, 0.04)] {
+        let scene = scene(sigma_t)?;
+        let mut rig = Rig::of(gpu, &scene)?;
+        rig.trace(&[scene.camera], 1)?;
+        for sun_share in [f64::INFINITY, 0.0] {
+            let mut denoiser = rig.denoiser_of(DenoiseSettings {
+                mode: DenoiseMode::Holovol,
+                sun_share,
+                ..Default::default()
+            })?;
+            rig.denoise(&mut denoiser, &[0])?;
+            let depths = denoiser.read_depths().map_err(text)?;
+            let albedos = denoiser.read_albedo().map_err(text)?;
+            let mut met = 0;
+            for (i, (depth, albedo)) in (0..).zip(depths.iter().zip(&albedos)) {
+                let [x, y] = [i % scene.camera.width, i / scene.camera.width];
+                let expected = quadrature(&scene, x, y);
+                // Where little is met, a pixel may have its guides from those around it.
+                if expected.opacity.is_nan() || expected.opacity < 0.05 {
+                    continue;
+                }
+                met += 1;
+                let [r, g, b, opacity] = albedo.map(f64::from);
+                let [mean, spread] = depth.map(f64::from);
+                let off = [
+                    (opacity - expected.opacity).abs(),
+                    (DVec3::new(r, g, b) - expected.albedo).abs().max_element(),
+                    // In units of what lies before and behind.
+                    (mean - expected.depth[0]).abs() / 0.2,
+                    (spread - expected.depth[1]).abs() / 0.2,
+                ];
+                if !off.iter().all(|&off| off < within) {
+                    return Err(format!(
+                        "σt {sigma_t}, sun {sun_share}, pixel {x}, {y}: off by {off:?} from opacity {}, \
+                         albedo {}, depth {:?}",
+                        expected.opacity, expected.albedo, expected.depth
+                    ));
+                }
+            }
+            if met < 200 {
+                return Err(format!("{met} pixels meet the medium"));
+            }
+        }
+    }
+    Ok(())
+}
