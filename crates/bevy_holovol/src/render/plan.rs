@@ -65,13 +65,6 @@ pub(super) fn plan_frame(
     inner.depth_plan.clear();
     let mut layers_used = 0;
     let mut mesh_views = Vec::new();
-    let saves_samples = scene.views.iter().any(|wanted| {
-        let camera = cameras.iter().find(|camera| *camera.1 == wanted.entity);
-        camera.is_some_and(|(_, camera, _, view, _, _, sampling)| {
-            let size = wanted.settings.image_size(viewport_size(view));
-            sampling_maps.get(*camera, sampling, size).is_some()
-        })
-    });
     for wanted in &scene.views {
         let Some((entity, camera, extracted, view, msaa, prepass, sampling)) =
             cameras.iter().find(|camera| *camera.1 == wanted.entity)
@@ -118,7 +111,6 @@ pub(super) fn plan_frame(
             });
         }
         let shares = sampling_maps.get(*camera, sampling, size);
-        let shares = shares.or_else(|| saves_samples.then(|| sampling_maps.whole(size)));
         for ((volume, _), overlap) in wanted.volumes.iter().zip(overlaps) {
             let key = (*volume, settings.max_scatters);
             let Some(tracing) = inner.tracings.get_mut(&key) else {

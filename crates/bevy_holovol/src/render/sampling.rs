@@ -127,16 +127,7 @@ fn holds([a, b, c]: &[Vec2; 3], point: Vec2) -> bool {
 
 /// What was made of each view's [`VolumeSampling`], per size of the traced image.
 #[derive(Resource, Default)]
-pub(super) struct SamplingMaps {
-    of_cameras: HashMap<MainEntity, Map>,
-    /// Of views that get all samples, by their size.
-    whole: HashMap<[u32; 2], Whole>,
-}
-
-struct Whole {
-    shares: Arc<SampleShares>,
-    is_used: bool,
-}
+pub(super) struct SamplingMaps(HashMap<MainEntity, Map>);
 
 struct Map {
     of: VolumeSampling,
@@ -160,10 +151,7 @@ impl SamplingMaps {
             is_used: true,
         };
         let places = || HiddenPlaces::new(&sampling.hidden, size);
-        let map = self
-            .of_cameras
-            .entry(camera)
-            .or_insert_with(|| make(places()));
+        let map = self.0.entry(camera).or_insert_with(|| make(places()));
         map.is_used = true;
         let has_places = map.hidden.size == size && Arc::ptr_eq(&map.hidden.of, &sampling.hidden);
         if !has_places {
@@ -175,23 +163,9 @@ impl SamplingMaps {
         map.shares.clone()
     }
 
-    /// All samples everywhere, said of each block: beside views that save some, the tracer takes a
-    /// view of which nothing is said for one as small as those, and draws nothing beyond.
-    pub(super) fn whole(&mut self, size: [u32; 2]) -> Arc<SampleShares> {
-        let whole = self.whole.entry(size).or_insert_with(|| Whole {
-            shares: Arc::new(SampleShares::new(size, |_, _| 255)),
-            is_used: true,
-        });
-        whole.is_used = true;
-        Arc::clone(&whole.shares)
-    }
-
     /// Forgets views that are gone.
     pub(super) fn end_frame(&mut self) {
-        self.of_cameras
-            .retain(|_, map| std::mem::take(&mut map.is_used));
-        self.whole
-            .retain(|_, whole| std::mem::take(&mut whole.is_used));
+        self.0.retain(|_, map| std::mem::take(&mut map.is_used));
     }
 }
 

@@ -188,7 +188,9 @@ fn start_sample(path: ptr<function, Path>) {
 // Samples that a pixel gets of those that its view is given.
 fn own_samples(view: u32, pixel: vec2<u32>) -> u32 {
     let given = views[view].samples.y - views[view].samples.x;
-    let share = textureLoad(shares_texture, pixel / SHARE_BLOCK, view, 0).x;
+    // A larger view without shares of its own has all everywhere.
+    let block = min(pixel / SHARE_BLOCK, textureDimensions(shares_texture) - 1u);
+    let share = textureLoad(shares_texture, block, view, 0).x;
     return (given * share + 254u) / 255u;
 }
 #endif
