@@ -9,9 +9,11 @@
 mod buffers;
 #[cfg(any(test, feature = "testing"))]
 pub mod cpu;
+mod edit;
 mod kernels;
 mod light;
 mod passes;
+mod readback;
 mod settings;
 mod sun;
 mod uniforms;
@@ -19,11 +21,12 @@ mod uniforms;
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
-use glam::{DMat3, DMat4, DVec4};
+use glam::{DMat3, DMat4};
 
 use crate::shader::{ShaderFile, shader_file};
 use crate::{FrameImage, FrameTracer, Gpu, Medium, RenderError, View};
 use buffers::Buffers;
+use edit::is_edit;
 pub use kernels::DenoiseKernels;
 use kernels::GuideKernel;
 pub use light::{LightChange, environment_change};
@@ -390,104 +393,6 @@ impl Denoiser {
             view,
         })
     }
-
-    /// Reads the denoised images back and waits for them; empty before the first frame.
-    ///
-    /// # Errors
-    /// If the device is lost.
-    pub fn read_images(&self) -> Result<Vec<Vec<[f32; 4]>>, RenderError> {
-        let Some(buffers) = &self.buffers else {
-            return Ok(Vec::new());
-        };
-        let source = &buffers.output;
-        let bytes = self
-            .gpu
-            .read_buffer("the denoised image", source, source.size())?;
-        let mut pixels: &[[f32; 4]] = &bytemuck::pod_collect_to_vec(&bytes);
-        let images = buffers.sizes.iter().map(|[width, height]| {
-            let (image, rest) = pixels.split_at(*width as usize * *height as usize);
-            pixels = rest;
-            image.to_vec()
-        });
-        Ok(images.collect())
-    }
-
-    /// The guides of both eyes: depth along the eye's axis and its spread, metres; 0 where nothing
-    /// was met.
-    ///
-    /// # Errors
-    /// If the device is lost.
-    #[doc(hidden)]
-    pub fn read_depths(&self) -> Result<Vec<[f32; 2]>, RenderError> {
-        let Some(buffers) = &self.buffers else {
-            return Ok(Vec::new());
-        };
-        let bytes = self
-            .gpu
-            .read_buffer("the guides", &buffers.keys, buffers.keys.size())?;
-        let keys: Vec<[u32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
-        let pixels = keys.len() / KEYS as usize;
-        let now = self.half as usize * pixels;
-        let depth = |words: &[u32; 4]| {
-            let spread = half::f16::from_bits(words[3] as u16).to_f32();
-            let depth = f32::from_bits(words[2]);
-            if words[0] & 0xffff != 0 {
-                [depth, depth * spread]
-            } else {
-                [0.0; 2]
-            }
-        };
-        let used = buffers.pixels();
-        Ok(keys[now..now + used].iter().map(depth).collect())
-    }
-
-    /// The guides of both eyes: albedo · opacity, and opacity.
-    ///
-    /// # Errors
-    /// If the device is lost.
-    #[doc(hidden)]
-    pub fn read_albedo(&self) -> Result<Vec<[f32; 4]>, RenderError> {
-        let Some(buffers) = &self.buffers else {
-            return Ok(Vec::new());
-        };
-        let bytes = self
-            .gpu
-            .read_buffer("the guides", &buffers.lights, buffers.lights.size())?;
-        let lights: Vec<[f32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
-        Ok(lights[..buffers.pixels()].to_vec())
-    }
-}
-
-/// Whether light scattered in the old medium says little of the new one. Rotation and scale of the
-/// environment are the caller's to judge, the volume's motion is followed.
-fn is_edit(before: &Medium, now: &Medium) -> bool {
-    let unmoved = Medium {
-        world_from_unit_cube: before.world_from_unit_cube,
-        environment_rotation_y: before.environment_rotation_y,
-        environment_scale: before.environment_scale,
-        clip_planes: before.clip_planes.clone(),
-        ..now.clone()
-    };
-    unmoved != *before || !cut_alike(before, now)
-}
-
-/// Whether the same of a volume is cut away, wherever it has moved with its planes.
-fn cut_alike(before: &Medium, now: &Medium) -> bool {
-    const ROUNDING: f64 = 1e-5;
-    let planes = |medium: &Medium| -> Vec<DVec4> {
-        let to_unit_cube = medium.world_from_unit_cube.transpose();
-        let planes = medium.clip_planes.iter().map(|&plane| {
-            let plane = to_unit_cube * plane;
-            plane / plane.truncate().length().max(f64::MIN_POSITIVE)
-        });
-        planes.collect()
-    };
-    let (before, now) = (planes(before), planes(now));
-    before.len() == now.len()
-        && before
-            .iter()
-            .zip(&now)
-            .all(|(a, b)| (*a - *b).abs().max_element() < ROUNDING)
 }
 
 fn images(tracer: &FrameTracer, slots: &[usize]) -> Result<Vec<FrameImage>, RenderError> {
@@ -532,8 +437,6 @@ fn workgroups(sizes: &[[u32; 2]]) -> [u32; 2] {
 
 #[cfg(test)]
 mod tests {
-    use holovol_volume::{TransferFunction, TransferPoint};
-
     use super::*;
 
     #[test]
@@ -542,41 +445,5 @@ mod tests {
         let largest = (16 * STATE.max(LIGHTS).max(KEYS)).max(8 * COUNTS);
         let limit = wgpu::Limits::default().max_storage_buffer_binding_size;
         assert!(largest * pixels <= limit, "{largest} bytes of a pixel");
-    }
-
-    #[test]
-    fn planes_that_move_with_their_volume_are_no_edit() {
-        let point = TransferPoint {
-            s: 0.0,
-            sigma_t: 1.0,
-            albedo: [0.5; 3],
-            emission: [0.0; 3],
-            roughness: 0.5,
-            specular: 0.0,
-        };
-        let medium = |place: DMat4, plane: DVec4| Medium {
-            window: [0.0, 1.0],
-            world_from_unit_cube: place,
-            transfer_function: TransferFunction::new(vec![point]).expect("a point"),
-            phase_g: 0.0,
-            gradient_factor: 0.0,
-            max_scatters: Some(1),
-            clip_planes: vec![plane],
-            environment_rotation_y: 0.0,
-            environment_scale: 1.0,
-        };
-        let plane = DVec4::new(0.6, 0.0, 0.8, -0.3);
-        let before = medium(DMat4::IDENTITY, plane);
-        let turn = DMat4::from_rotation_y(0.3) * DMat4::from_translation(glam::DVec3::X);
-        let along = turn.inverse().transpose() * plane;
-        assert!(!is_edit(&before, &medium(turn, along)));
-        assert!(
-            is_edit(&before, &medium(turn, plane)),
-            "through a plane that stays"
-        );
-        assert!(is_edit(
-            &before,
-            &medium(DMat4::IDENTITY, plane - DVec4::W * 0.01)
-        ));
     }
 }
