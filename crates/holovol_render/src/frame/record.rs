@@ -51,7 +51,7 @@ impl FrameTracer {
         if end > start && frame.view.is_valid() {
             slot.samples = end;
             let few = match frame.max_samples {
-                most @ ..=SPREAD_SAMPLES => most.next_power_of_two(),
+                most @ ..=SPREAD_SAMPLES => most,
                 _ => 0,
             };
             slot.uniform.samples = [start, end, few, 0];

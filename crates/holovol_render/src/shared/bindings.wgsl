@@ -44,8 +44,8 @@ struct View {
     forward: vec4<f32>,
     // x, y: pixels across and down; z: its first pixel in the accumulators; w: seed.
     image: vec4<u32>,
-    // x, y: samples [start, end) of every pixel; z: of an image of few samples how many, rounded up to a
-    // power of two, else 0; w: unused.
+    // x, y: samples [start, end) of every pixel; z: of an image of few samples how many, else 0;
+    // w: unused.
     samples: vec4<u32>,
     // Depth of opaque meshes. x, y: pixels across and down; z: first layer; w: layers, one for
     // each sample of multisampling, 0: nothing is in the way.

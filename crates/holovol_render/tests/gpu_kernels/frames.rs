@@ -133,7 +133,7 @@ pub fn equal_the_offline_tracer(gpu: &Gpu) -> Result<(), String> {
 /// so do paths that go on in further dispatches.
 pub fn few_samples_are_spread(gpu: &Gpu) -> Result<(), String> {
     const SIDE: u32 = 32;
-    const SEEDS: u64 = 24;
+    const SEEDS: u64 = 16;
     let mut scene = scenes::scene();
     scene.camera.width = SIDE;
     scene.camera.height = SIDE;
@@ -160,23 +160,28 @@ pub fn few_samples_are_spread(gpu: &Gpu) -> Result<(), String> {
     if bits(&image(1, budget, 4, 2, 8)?) != whole || bits(&image(1, 7, 8, 8, 8)?) != whole {
         return Err("eight samples depend on how they are taken".into());
     }
-    let images = |most| -> Result<Vec<_>, String> {
-        let images = (0..SEEDS).map(|seed| image(seed + 1, budget, 2, 1, most));
-        images.collect()
-    };
-    let (spread, alone) = (images(2)?, images(u32::MAX)?);
-    for (channel, gain) in [(1, 0.85), (3, 0.6)] {
-        let of = |side| {
-            let [a, b] =
-                [&spread, &alone].map(|images| mean_and_noise(images, SIDE, side, channel));
-            [a[0] / b[0], a[1] / b[1]]
+    // Three points that follow each other are no net: a pixel may have somewhat more noise.
+    for (samples, within) in [(2, 0.1), (3, 0.3)] {
+        let images = |most| -> Result<Vec<_>, String> {
+            let images = (0..SEEDS).map(|seed| image(seed + 1, budget, samples, 1, most));
+            images.collect()
         };
-        let ([mean, pixels], [_, squares]) = (of(1), of(8));
-        let same = (mean - 1.0).abs() < 0.02 && (pixels - 1.0).abs() < 0.1;
-        if !same || squares > gain {
-            return Err(format!(
-                "channel {channel}, spread of alone: mean {mean}, noise of pixels {pixels}, of squares {squares}"
-            ));
+        let (spread, alone) = (images(samples)?, images(u32::MAX)?);
+        for (channel, gain) in [(1, 0.85), (3, 0.6)] {
+            let of = |side| {
+                let [a, b] =
+                    [&spread, &alone].map(|images| mean_and_noise(images, SIDE, side, channel));
+                [a[0] / b[0], a[1] / b[1]]
+            };
+            let ([mean, pixels], [_, squares]) = (of(1), of(8));
+            let same = (mean - 1.0).abs() < 0.02 && (pixels - 1.0).abs() < within;
+            eprintln!("{samples} samples, channel {channel}: {mean}, {pixels}, {squares}");
+            if !same || squares > gain {
+                return Err(format!(
+                    "{samples} samples, channel {channel}, spread of alone: mean {mean}, noise of \
+                     pixels {pixels}, of squares {squares}"
+                ));
+            }
         }
     }
     Ok(())
