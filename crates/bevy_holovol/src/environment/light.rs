@@ -139,8 +139,14 @@ pub(super) fn update_map(
 /// Has Bevy keep its own tables, which it would move to the device and forget. On another one they
 /// would be all zero, and of meshes in this light nothing but NaN would be seen.
 pub(super) fn keep_tables(images: &mut Assets<Image>) {
+    // Bevy's have 2.1 MiB together; what an app has made larger than that is its own to keep.
+    const LARGEST: usize = 4 << 20;
     for (_, image) in images.iter_mut() {
-        if image.data.is_some() {
+        if image
+            .data
+            .as_ref()
+            .is_some_and(|data| data.len() <= LARGEST)
+        {
             image.asset_usage |= RenderAssetUsages::MAIN_WORLD;
         }
     }

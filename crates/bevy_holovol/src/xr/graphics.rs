@@ -116,7 +116,8 @@ impl GraphicsApi {
             #[cfg(not(target_vendor = "apple"))]
             Self::Vulkan(ref handles) => {
                 let (session, waiter, stream) = handles.create_session(runtime, device)?;
-                OpenSession::new(session, waiter, stream, device, size, wants_depth)
+                let keeps = Exclusive::new(session.clone().into_any_graphics());
+                OpenSession::new(keeps, session, waiter, stream, device, size, wants_depth)
             }
         }
     }
@@ -145,10 +146,14 @@ pub(crate) struct OpenSession {
     pub(crate) format: TextureFormat,
     pub(crate) depth_format: Option<TextureFormat>,
     pub(crate) size: [u32; 2],
+    /// Dropped last: what keeps the session until all else of it is gone.
+    pub(crate) keeps: Exclusive<Session<AnyGraphics>>,
 }
 
 impl OpenSession {
+    // Parameters are dropped from the last to the first.
     fn new<G: Api>(
+        keeps: Exclusive<Session<AnyGraphics>>,
         session: Session<G>,
         waiter: FrameWaiter,
         stream: FrameStream<G>,
@@ -187,6 +192,7 @@ impl OpenSession {
                 size,
             }),
             size,
+            keeps,
         })
     }
 }

@@ -197,7 +197,7 @@ impl Connection {
         }
         match &mut self.link {
             // Bevy has lost the device and got another one, by the app's will.
-            Link::Found(_, live) if !self.is_in_use => {
+            Link::Found(_, live) if !self.is_in_use && !self.has_ended => {
                 *live = None;
                 status.state = HeadsetState::Lost;
                 if around.settings.may_replace_device {

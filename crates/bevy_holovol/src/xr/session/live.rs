@@ -101,7 +101,7 @@ impl Live {
             input,
             anchors: Anchors::default(),
             is_begun: false,
-            _session: Exclusive::new(opened.session.clone()),
+            _session: opened.keeps,
             shared: Arc::new(SharedSession {
                 session: opened.session,
                 space,

@@ -30,6 +30,9 @@ struct Hooked {
 /// Those that are gone stay until their handles come again: they are few.
 static DEVICES: RwLock<Vec<Hooked>> = RwLock::new(Vec::new());
 
+/// The driver's own way to functions of devices that others make from our instance.
+static OTHERS: RwLock<Option<vk::PFN_vkGetDeviceProcAddr>> = RwLock::new(None);
+
 static SUBMISSIONS: AtomicU64 = AtomicU64::new(0);
 
 /// How often wgpu has submitted to queues of headsets.
@@ -37,23 +40,26 @@ pub(crate) fn submissions() -> u64 {
     SUBMISSIONS.load(Ordering::Relaxed)
 }
 
-/// An instance whose devices' queues are used through here, once they are [`add_device`]d.
+/// An instance whose devices' queues are used through here, once they are [`add_device`]d; other
+/// devices of it, which no runtime shares, are left alone.
 #[expect(
     unsafe_code,
     reason = "functions of Vulkan are pointers without a type"
 )]
 pub(super) fn load_instance(entry: &ash::Entry, instance: vk::Instance) -> ash::Instance {
+    let find = |name: &CStr| {
+        // SAFETY: names end with a zero.
+        unsafe { (entry.static_fn().get_instance_proc_addr)(instance, name.as_ptr()) }
+    };
+    // SAFETY: of this name is a function of this type.
+    let others = find(c"vkGetDeviceProcAddr").map(|look_up| unsafe { transmute(look_up) });
+    *OTHERS.write().unwrap_or_else(PoisonError::into_inner) = others;
     let look_up = |name: &CStr| {
         if name == c"vkGetDeviceProcAddr" {
             return device_proc_addr as *const c_void;
         }
-        // SAFETY: what it returns is a function, or null.
-        unsafe {
-            transmute((entry.static_fn().get_instance_proc_addr)(
-                instance,
-                name.as_ptr(),
-            ))
-        }
+        // SAFETY: a function, or null.
+        unsafe { transmute(find(name)) }
     };
     // SAFETY: these are the functions of these names, ours being of the same type.
     unsafe { ash::Instance::load_with(look_up, instance) }
@@ -115,7 +121,11 @@ unsafe extern "system" fn device_proc_addr(
     device: vk::Device,
     name: *const c_char,
 ) -> vk::PFN_vkVoidFunction {
-    let hooked = find(|hooked| hooked.device == device)?;
+    let Some(hooked) = find(|hooked| hooked.device == device) else {
+        let others = *OTHERS.read().unwrap_or_else(PoisonError::into_inner);
+        // SAFETY: as the caller's.
+        return others.and_then(|look_up| unsafe { look_up(device, name) });
+    };
     // SAFETY: as the caller's; ours are of the types of their names.
     unsafe {
         let theirs = (hooked.look_up)(device, name)?;
@@ -271,6 +281,25 @@ mod tests {
             }
         });
         assert_eq!(submissions() - before, 200);
+    }
+
+    /// A second device for something else has the driver's own functions.
+    #[test]
+    fn devices_that_no_runtime_shares_are_left_alone() {
+        unsafe extern "system" fn look_up(
+            device: vk::Device,
+            _: *const c_char,
+        ) -> vk::PFN_vkVoidFunction {
+            assert_eq!(device, vk::Device::from_raw(5));
+            // SAFETY: never called through this type.
+            unsafe { transmute(submit as *const c_void) }
+        }
+        *OTHERS.write().expect("not poisoned") = Some(look_up);
+        let device = vk::Device::from_raw(5);
+        // SAFETY: the function above takes anything.
+        let found = unsafe { device_proc_addr(device, c"vkQueueSubmit".as_ptr()) };
+        let found = found.map(|function| function as usize);
+        assert_eq!(found, Some(submit as *const () as usize));
     }
 
     #[test]
