@@ -4,7 +4,7 @@
 Four posts, a beam and a thin shell over a floor, hard edges and shadows a pixel wide, which took no
 part in tuning the denoiser.
 
-    bench/denoise/posts.py FOLDER ../shared/data/hdri/spiaggia_di_mondello_1k.hdr
+    bench/denoise/posts.py FOLDER PANORAMA.hdr
 """
 
 import argparse
