@@ -80,7 +80,8 @@ fn shadow(place: vec3<f32>, toward: vec3<f32>) -> f32 {
     var steps = 0.0;
     while t < walk.t_end && tau < DARK && steps < 2.0 * MAX_STEPS && range > 0.0 {
         steps += 1.0;
-        let dt = fine * select(1.0, 2.0, t - walk.t_cell > FINE_STEPS * fine);
+        let longer = select(1.0, 2.0, t - walk.t_cell > FINE_STEPS * fine);
+        let dt = min(fine * longer, walk.t_end - t);
         let metres = dt / f32(PARTS);
         let at = place + (t + 0.5 * dt) * toward;
         let cell = clamp(vec3<i32>(floor(at / CELL_SIZE)), vec3<i32>(0), last_cell);
