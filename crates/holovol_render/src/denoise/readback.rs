@@ -32,15 +32,6 @@ impl Denoiser {
     /// If the device is lost.
     #[doc(hidden)]
     pub fn read_depths(&self) -> Result<Vec<[f32; 2]>, RenderError> {
-        let Some(buffers) = &self.buffers else {
-            return Ok(Vec::new());
-        };
-        let bytes = self
-            .gpu
-            .read_buffer("the guides", &buffers.keys, buffers.keys.size())?;
-        let keys: Vec<[u32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
-        let pixels = keys.len() / KEYS as usize;
-        let now = self.half as usize * pixels;
         let depth = |words: &[u32; 4]| {
             let spread = half::f16::from_bits(words[3] as u16).to_f32();
             let depth = f32::from_bits(words[2]);
@@ -50,8 +41,30 @@ impl Denoiser {
                 [0.0; 2]
             }
         };
-        let used = buffers.pixels();
-        Ok(keys[now..now + used].iter().map(depth).collect())
+        Ok(self.read_keys()?.iter().map(depth).collect())
+    }
+
+    /// The guides of both eyes: what the dominant light is expected to add, in units of its own.
+    ///
+    /// # Errors
+    /// If the device is lost.
+    #[doc(hidden)]
+    pub fn read_sunlight(&self) -> Result<Vec<f32>, RenderError> {
+        let light = |words: &[u32; 4]| half::f16::from_bits((words[0] >> 16) as u16).to_f32().abs();
+        Ok(self.read_keys()?.iter().map(light).collect())
+    }
+
+    /// This frame's, as the passes pack them.
+    fn read_keys(&self) -> Result<Vec<[u32; 4]>, RenderError> {
+        let Some(buffers) = &self.buffers else {
+            return Ok(Vec::new());
+        };
+        let bytes = self
+            .gpu
+            .read_buffer("the guides", &buffers.keys, buffers.keys.size())?;
+        let keys: Vec<[u32; 4]> = bytemuck::pod_collect_to_vec(&bytes);
+        let now = self.half as usize * (keys.len() / KEYS as usize);
+        Ok(keys[now..now + buffers.pixels()].to_vec())
     }
 
     /// The guides of both eyes: albedo · opacity, and opacity.

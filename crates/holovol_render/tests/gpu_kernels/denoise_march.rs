@@ -1,12 +1,13 @@
 //! The march that makes the denoiser's guides, against quadrature in f64.
 
 use glam::{DMat4, DVec3};
+use holovol_light::EnvironmentMap;
 use holovol_render::{DenoiseMode, DenoiseSettings, Gpu};
 use holovol_scene::{Camera, Scene};
 use holovol_volume::{TransferFunction, TransferPoint, Voxels};
 
 use super::denoise::{Rig, text};
-use super::scenes;
+use super::{denoise_sun, scenes};
 
 const SIDE: u32 = 24;
 /// Of a ray; its error is below 1e-6.
@@ -55,32 +56,84 @@ struct Expected {
     depth: [f64; 2],
 }
 
+/// A straight line in unit-cube coordinates, by metres along the camera's axis or along itself.
+struct Line {
+    origin: DVec3,
+    direction: DVec3,
+    /// Where it is in the cube.
+    enters: f64,
+    leaves: f64,
+    /// Metres per unit of the above.
+    metres: f64,
+}
+
+impl Line {
+    /// From a place in the cube; a direction in world space.
+    fn new(scene: &Scene, origin: DVec3, world: DVec3) -> Self {
+        let inverse: DMat4 = scene.world_from_unit_cube.inverse();
+        let direction = inverse.transform_vector3(world);
+        let (a, b) = (-origin / direction, (1.0 - origin) / direction);
+        Self {
+            origin,
+            direction,
+            enters: a.min(b).max_element().max(0.0),
+            leaves: a.max(b).min_element(),
+            metres: world.length(),
+        }
+    }
+
+    /// Through the middle of a pixel.
+    fn of_pixel(scene: &Scene, x: u32, y: u32) -> Self {
+        let camera = &scene.camera;
+        let forward = (camera.target - camera.eye).normalize();
+        let right = forward.cross(camera.up).normalize();
+        let up = right.cross(forward);
+        let scale = 2.0 * (0.5 * camera.fov_y).tan() / f64::from(camera.height);
+        let across = scale * (f64::from(x) + 0.5 - 0.5 * f64::from(camera.width));
+        let down = scale * (f64::from(y) + 0.5 - 0.5 * f64::from(camera.height));
+        let eye = scene
+            .world_from_unit_cube
+            .inverse()
+            .transform_point3(camera.eye);
+        Self::new(scene, eye, forward + across * right - down * up)
+    }
+
+    /// Middles of equal steps, and how long one is.
+    fn steps(&self, count: u32) -> (impl Iterator<Item = f64> + use<>, f64) {
+        let (enters, step) = (
+            self.enters,
+            (self.leaves - self.enters).max(0.0) / f64::from(count),
+        );
+        let middle = move |i| enters + step * (f64::from(i) + 0.5);
+        ((0..count).map(middle), step)
+    }
+
+    fn at(&self, t: f64) -> DVec3 {
+        self.origin + t * self.direction
+    }
+}
+
+/// How far a place is between the transfer function's points.
+fn share_at(scene: &Scene, place: DVec3) -> f64 {
+    let points = scene.transfer_function.points();
+    ((field(place) - points[0].s) / (points[1].s - points[0].s)).clamp(0.0, 1.0)
+}
+
+fn sigma_t_at(scene: &Scene, place: DVec3) -> f64 {
+    share_at(scene, place) * scene.transfer_function.points()[1].sigma_t
+}
+
 /// What the ray through the middle of a pixel meets.
 fn quadrature(scene: &Scene, x: u32, y: u32) -> Expected {
-    let camera = &scene.camera;
-    let forward = (camera.target - camera.eye).normalize();
-    let right = forward.cross(camera.up).normalize();
-    let up = right.cross(forward);
-    let scale = 2.0 * (0.5 * camera.fov_y).tan() / f64::from(camera.height);
-    let across = scale * (f64::from(x) + 0.5 - 0.5 * f64::from(camera.width));
-    let down = scale * (f64::from(y) + 0.5 - 0.5 * f64::from(camera.height));
-    let per_depth = forward + across * right - down * up;
-    let inverse: DMat4 = scene.world_from_unit_cube.inverse();
-    let origin = inverse.transform_point3(camera.eye);
-    let direction = inverse.transform_vector3(per_depth);
-    let (a, b) = (-origin / direction, (1.0 - origin) / direction);
-    let enters = a.min(b).max_element().max(0.0);
-    let leaves = a.max(b).min_element();
-    let step = (leaves - enters).max(0.0) / f64::from(STEPS);
+    let line = Line::of_pixel(scene, x, y);
+    let (depths, step) = line.steps(STEPS);
     let points = scene.transfer_function.points();
     let [mut transmittance, mut sum, mut sum2] = [1.0, 0.0, 0.0];
     let mut albedo = DVec3::ZERO;
-    for i in 0..STEPS {
-        let depth = enters + step * (f64::from(i) + 0.5);
-        let s = field(origin + depth * direction);
-        let share = ((s - points[0].s) / (points[1].s - points[0].s)).clamp(0.0, 1.0);
+    for depth in depths {
+        let share = share_at(scene, line.at(depth));
         let sigma_t = share * points[1].sigma_t;
-        let taken = transmittance * (1.0 - (-sigma_t * step * per_depth.length()).exp());
+        let taken = transmittance * (1.0 - (-sigma_t * step * line.metres).exp());
         let colours = points[..2].iter().map(|p| DVec3::from_array(p.albedo));
         let [low, high] = <[DVec3; 2]>::try_from(colours.collect::<Vec<_>>()).expect("two points");
         albedo += taken * low.lerp(high, share);
@@ -143,6 +196,68 @@ pub fn equals_quadrature(gpu: &Gpu) -> Result<(), String> {
             if met < 200 {
                 return Err(format!("{met} pixels meet the medium"));
             }
+        }
+    }
+    Ok(())
+}
+
+/// What a sun adds to light that a medium scatters once, all directions alike: within 0.03 of what is
+/// 0.03 to 0.4, 0.012 in the mean. Asked for at two places instead of four it was off by 0.02 in the
+/// mean.
+pub fn sunlight_equals_quadrature(gpu: &Gpu) -> Result<(), String> {
+    // The middle of the texel that shines.
+    let toward = EnvironmentMap::direction_from_uv([90.5 / 128.0, 20.5 / 64.0]);
+    // Dense media, whose cut faces must not shade themselves, and thin ones.
+    for sigma_t in [400.0, 60.0, 20.0] {
+        let mut scene = scene(sigma_t)?;
+        scene.environment.map = denoise_sun::sky(90);
+        scene.environment.rotation_y = 0.0;
+        scene.phase_g = 0.0;
+        scene.gradient_factor = 0.0;
+        let mut rig = Rig::of(gpu, &scene)?;
+        rig.trace(&[scene.camera], 1)?;
+        let mut denoiser = rig.denoiser_of(DenoiseSettings::default())?;
+        rig.denoise(&mut denoiser, &[0])?;
+        let lights = denoiser.read_sunlight().map_err(text)?;
+        let (mut met, mut sum) = (0, 0.0);
+        for (i, light) in (0..).zip(lights).step_by(13) {
+            let [x, y] = [i % scene.camera.width, i / scene.camera.width];
+            let expected = quadrature(&scene, x, y);
+            if expected.opacity.is_nan() || expected.opacity < 0.3 {
+                continue;
+            }
+            let line = Line::of_pixel(&scene, x, y);
+            let (depths, step) = line.steps(400);
+            let [mut transmittance, mut lit] = [1.0, 0.0];
+            for depth in depths {
+                let place = line.at(depth);
+                let tau = sigma_t_at(&scene, place) * step * line.metres;
+                let taken = transmittance * (1.0 - f64::exp(-tau));
+                let shadow = Line::new(&scene, place, toward);
+                let (places, along) = shadow.steps(200);
+                let tau: f64 = places
+                    .map(|t| sigma_t_at(&scene, shadow.at(t)) * along)
+                    .sum();
+                lit += taken * f64::exp(-tau);
+                transmittance -= taken;
+            }
+            met += 1;
+            let albedo = expected.albedo.element_sum() / 3.0;
+            let expected = lit / expected.opacity * albedo / (albedo + 0.5);
+            let off = (f64::from(light) - expected).abs();
+            sum += off;
+            if off.is_nan() || off > 0.03 {
+                return Err(format!(
+                    "σt {sigma_t}, pixel {x}, {y}: {light}, expected {expected}"
+                ));
+            }
+        }
+        let mean = sum / f64::from(met);
+        eprintln!("σt {sigma_t}: {met} pixels, off by {mean:.4} in the mean");
+        if met < 20 || mean > 0.012 {
+            return Err(format!(
+                "σt {sigma_t}: {met} pixels are off by {mean} in the mean"
+            ));
         }
     }
     Ok(())

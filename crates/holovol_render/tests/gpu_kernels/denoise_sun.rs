@@ -28,7 +28,7 @@ fn posts() -> Vec<f32> {
 }
 
 /// A sun of 1.5° at this column of 128, three quarters up.
-fn sky(column: usize) -> EnvironmentMap {
+pub(super) fn sky(column: usize) -> EnvironmentMap {
     let texel = |i: usize| {
         let is_sun = i % 128 == column && i / 128 == 20;
         [if is_sun { 4000.0 } else { 1.0 }; 3]

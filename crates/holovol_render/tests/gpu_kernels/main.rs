@@ -94,6 +94,10 @@ const CHECKS: &[(&str, Check)] = &[
         denoise::upheavals_leave_no_trace,
     ),
     ("march_equals_quadrature", denoise_march::equals_quadrature),
+    (
+        "march_finds_sunlight_as_quadrature_does",
+        denoise_march::sunlight_equals_quadrature,
+    ),
     ("denoiser_keeps_the_mean", denoise::the_mean_is_kept),
     (
         "denoiser_keeps_history_at_other_resolutions",

@@ -25,12 +25,14 @@ const OPAQUE: f32 = 0.04;
 const CLOSER: f32 = 0.1;
 // The normal is taken where this transmittance is reached.
 const NORMAL_TRANSMITTANCE: f32 = 0.6;
-// Transmittances at whose places light is asked for: the middles of two halves of what is seen.
-const LIT: vec2<f32> = vec2<f32>(0.78, 0.35);
-// Steps of a texel toward a light; those after them are twice as long.
-const FINE_STEPS: f32 = 7.0;
+// Transmittances at whose places light is asked for: the middles of four quarters of what is seen.
+const LIT: vec4<f32> = vec4<f32>(0.875, 0.625, 0.375, 0.125);
+// Texels toward a light after which steps, a texel long before, are as long again, and how long they
+// become at most.
+const FINE_TEXELS: f32 = 5.0;
+const LONGEST_STEP: f32 = 3.0;
 // Optical depth behind which nothing of a light is left.
-const DARK: f32 = 4.0;
+const DARK: f32 = 3.0;
 // Where a step can't take more of what is seen than these, by its cell's majorant, it is twice and
 // four times as long, within the cell.
 const THIN: vec2<f32> = vec2<f32>(0.05, 0.012);
@@ -80,7 +82,7 @@ fn shadow(place: vec3<f32>, toward: vec3<f32>) -> f32 {
     var steps = 0.0;
     while t < walk.t_end && tau < DARK && steps < 2.0 * MAX_STEPS && range > 0.0 {
         steps += 1.0;
-        let longer = select(1.0, 2.0, t - walk.t_cell > FINE_STEPS * fine);
+        let longer = clamp(floor(1.0 + (t - walk.t_cell) / (FINE_TEXELS * fine)), 1.0, LONGEST_STEP);
         let dt = min(fine * longer, walk.t_end - t);
         let metres = dt / f32(PARTS);
         let at = place + (t + 0.5 * dt) * toward;
@@ -147,7 +149,7 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     var sum2 = 0.0;
     var normal_depth = -1.0;
     // Where light is asked for, and the field there.
-    var lit = vec2<f32>(-1.0);
+    var lit = vec4<f32>(-1.0);
     var lit_value = 0.0;
     var t = walk.t_cell;
     var s = 0.0;
@@ -219,18 +221,18 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
             normal_depth = select(normal_depth, turns, normal_depth < 0.0 && behind.z < NORMAL_TRANSMITTANCE);
         }
         // Where light is asked for: in the part where transmittance falls so far, by its logarithm.
-        let crosses = vec2<f32>(enters) >= LIT & vec2<f32>(transmittance) < LIT;
+        let crosses = vec4<f32>(enters) >= LIT & vec4<f32>(transmittance) < LIT;
         for (var once = has_sun && any(crosses); once; once = false) {
-            let first = vec2<f32>(sigma.x * metres);
+            let first = vec4<f32>(sigma.x * metres);
             let second = first + sigma.y * metres;
             let wanted = log(enters / LIT);
             let in_second = wanted >= first;
             let in_third = wanted >= second;
-            let sigma_t = select(select(vec2<f32>(sigma.x), vec2<f32>(sigma.y), in_second), vec2<f32>(sigma.z), in_third);
-            let passed = select(select(vec2<f32>(0.0), first, in_second), second, in_third);
-            let part = select(select(vec2<f32>(0.0), vec2<f32>(1.0), in_second), vec2<f32>(2.0), in_third);
-            let share = (wanted - passed) / max(sigma_t * metres, vec2<f32>(1e-20));
-            let place = t + dt * (part + clamp(share, vec2<f32>(0.0), vec2<f32>(1.0))) / f32(PARTS);
+            let sigma_t = select(select(vec4<f32>(sigma.x), vec4<f32>(sigma.y), in_second), vec4<f32>(sigma.z), in_third);
+            let passed = select(select(vec4<f32>(0.0), first, in_second), second, in_third);
+            let part = select(select(vec4<f32>(0.0), vec4<f32>(1.0), in_second), vec4<f32>(2.0), in_third);
+            let share = (wanted - passed) / max(sigma_t * metres, vec4<f32>(1e-20));
+            let place = t + dt * (part + clamp(share, vec4<f32>(0.0), vec4<f32>(1.0))) / f32(PARTS);
             lit = select(lit, place, crosses);
             let value = select(select(values.x, values.y, in_second.x), values.z, in_third.x);
             lit_value = select(lit_value, value, crosses.x);
@@ -267,10 +269,13 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
                 dot(scene.texel_from_world_z.xyz, wi),
             );
             lit.x = select(walk.t_cell + mean, lit.x, lit.x >= 0.0);
-            var reached = shadow(origin + lit.x * texel, toward);
-            for (var second = lit.y >= 0.0; second; second = false) {
-                reached = 0.5 * (reached + shadow(origin + lit.y * texel, toward));
+            var reached = 0.0;
+            var places = 0u;
+            while places < 4u && lit[places] >= 0.0 {
+                reached += shadow(origin + lit[places] * texel, toward);
+                places += 1u;
             }
+            reached /= f32(places);
             let wo = -world / length_world;
             var surface = Surface(vec3<f32>(0.0, 0.0, 1.0), 0.0, 0.0, 1.0);
 #if SURFACE == 1
