@@ -44,7 +44,8 @@ impl Denoiser {
         Ok(self.read_keys()?.iter().map(depth).collect())
     }
 
-    /// The guides of both eyes: what the dominant light is expected to add, in units of its own.
+    /// The guides of both eyes: what the dominant light is expected to add, in units of its own;
+    /// also of pixels that have their guides from those around.
     ///
     /// # Errors
     /// If the device is lost.

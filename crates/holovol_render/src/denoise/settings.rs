@@ -62,8 +62,8 @@ pub struct DenoiseSettings {
     pub near_bias: f32,
     /// Bias expected of light of the dominant source that differs as much, as guides know it.
     pub sun_bias: f32,
-    /// Share of the irradiance that the dominant source needs for guides to know of it: a shadow ray
-    /// for each pixel.
+    /// Share of the irradiance that the dominant source needs for guides to know of it: up to
+    /// four shadow rays for each pixel.
     pub sun_share: f64,
     /// Bias expected of the other eye.
     pub eye_bias: f32,

@@ -25,13 +25,14 @@ const OPAQUE: f32 = 0.04;
 const CLOSER: f32 = 0.1;
 // The normal is taken where this transmittance is reached.
 const NORMAL_TRANSMITTANCE: f32 = 0.6;
-// Transmittances at whose places light is asked for: the middles of four quarters of what is seen.
+// Transmittances at whose places light is asked for: the middles of four quarters of what a ray sees
+// that nothing passes. Of others the last place counts for what there is of its quarter.
 const LIT: vec4<f32> = vec4<f32>(0.875, 0.625, 0.375, 0.125);
-// Texels toward a light after which steps, a texel long before, are as long again, and how long they
-// become at most.
+// Steps toward a light are a texel long, and a texel longer after every FINE_TEXELS, up to
+// LONGEST_STEP.
 const FINE_TEXELS: f32 = 5.0;
 const LONGEST_STEP: f32 = 3.0;
-// Optical depth behind which nothing of a light is left.
+// Optical depth at which a ray to a light ends; a twentieth of it is left at most, and taken as it is.
 const DARK: f32 = 3.0;
 // Where a step can't take more of what is seen than these, by its cell's majorant, it is twice and
 // four times as long, within the cell.
@@ -148,7 +149,7 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     var sum = 0.0;
     var sum2 = 0.0;
     var normal_depth = -1.0;
-    // Where light is asked for, and the field there.
+    // Where light is asked for, and the field at the first place.
     var lit = vec4<f32>(-1.0);
     var lit_value = 0.0;
     var t = walk.t_cell;
@@ -268,14 +269,18 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
                 dot(scene.texel_from_world_y.xyz, wi),
                 dot(scene.texel_from_world_z.xyz, wi),
             );
-            lit.x = select(walk.t_cell + mean, lit.x, lit.x >= 0.0);
-            var reached = 0.0;
-            var places = 0u;
-            while places < 4u && lit[places] >= 0.0 {
-                reached += shadow(origin + lit[places] * texel, toward);
-                places += 1u;
+            if lit.x < 0.0 {
+                lit.x = walk.t_cell + mean;
+                lit_value = field_at(origin + lit.x * texel);
             }
-            reached /= f32(places);
+            var reached = 0.0;
+            var sum_of_weights = 0.0;
+            for (var k = 0u; k < 4u && lit[k] >= 0.0; k += 1u) {
+                let weight = clamp(opacity - 0.25 * f32(k), 1e-3, 0.25);
+                reached += weight * shadow(origin + lit[k] * texel, toward);
+                sum_of_weights += weight;
+            }
+            reached /= sum_of_weights;
             let wo = -world / length_world;
             var surface = Surface(vec3<f32>(0.0, 0.0, 1.0), 0.0, 0.0, 1.0);
 #if SURFACE == 1
