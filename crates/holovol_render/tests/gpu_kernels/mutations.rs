@@ -216,6 +216,24 @@ pub const MUTATIONS: &[Caught] = &[
     ),
     caught(
         MARCH,
+        "let dt = min(fine * longer, walk.t_end - t);",
+        "let dt = fine * longer;",
+        denoise_march::sunlight_equals_quadrature,
+    ),
+    caught(
+        MARCH,
+        "vec4<f32>(0.875, 0.625, 0.375, 0.125)",
+        "vec4<f32>(0.78, 0.35, 1e-9, 1e-9)",
+        denoise_march::sunlight_equals_quadrature,
+    ),
+    caught(
+        MARCH,
+        "let weight = clamp(opacity - 0.25 * f32(k), 1e-3, 0.25);",
+        "let weight = 0.25;",
+        denoise_march::sunlight_equals_quadrature,
+    ),
+    caught(
+        MARCH,
         "let place = t + dt * (part",
         "let place = t + 3.0 * dt * (part",
         denoise_sun::shadows_stay_sharp,
