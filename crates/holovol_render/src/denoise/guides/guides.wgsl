@@ -183,7 +183,7 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
             transfer_sigma_t(values.x), transfer_sigma_t(values.y), transfer_sigma_t(values.z),
         );
         let seen_here = transmittance * metres * (sigma.x + sigma.y + sigma.z);
-        for (var once = has_sun && seen_here > CLOSER; once; once = false) {
+        if has_sun && seen_here > CLOSER {
             values = vec3<f32>(
                 field_at(origin + (t + dt / 6.0) * texel),
                 field_at(origin + (t + 0.5 * dt) * texel),
@@ -195,7 +195,7 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         }
         let enters = transmittance;
         // Where there is nothing, nothing is added up.
-        for (var once = sigma.x + sigma.y + sigma.z > 0.0; once; once = false) {
+        if sigma.x + sigma.y + sigma.z > 0.0 {
             let passed = exp(-sigma * metres);
             let before = transmittance * vec3<f32>(1.0, passed.x, passed.x * passed.y);
             let behind = before * passed;
@@ -223,7 +223,7 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         }
         // Where light is asked for: in the part where transmittance falls so far, by its logarithm.
         let crosses = vec4<f32>(enters) >= LIT & vec4<f32>(transmittance) < LIT;
-        for (var once = has_sun && any(crosses); once; once = false) {
+        if has_sun && any(crosses) {
             let first = vec4<f32>(sigma.x * metres);
             let second = first + sigma.y * metres;
             let wanted = log(enters / LIT);
@@ -262,7 +262,7 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         key.albedo = max(mean_rgb(albedo), LEAST_ALBEDO);
         key.depth = near + walk.t_cell + mean;
         key.spread = sqrt(variance);
-        for (var once = has_sun; once; once = false) {
+        if has_sun {
             let wi = denoise.sun.xyz;
             let toward = vec3<f32>(
                 dot(scene.texel_from_world_x.xyz, wi),

@@ -40,7 +40,7 @@ fn guide_between(eye: u32, position: vec2<u32>) {
         for (var x = low.x; x <= high.x; x += 1) {
             let at = first + u32(x) + size.x * u32(y);
             let words = keys[half_now() + at];
-            for (var once = is_marched(words.x); once; once = false) {
+            if is_marched(words.x) {
                 let there = unpack_key(words);
                 nearest = select(nearest, there.depth, sums.x == 0.0);
                 let side = vec2<f32>(2 - abs(vec2<i32>(x, y) - vec2<i32>(position)));

@@ -40,8 +40,6 @@ const COVERAGE_BIAS: f32 = 0.7;
 const RADIUS: i32 = #{RADIUS};
 // In place of an opacity: a sample was not finite.
 const NOT_FINITE: f32 = -2.0;
-// Loops of one round stand for branches here: software rasterisers run both sides of a branch, but
-// leave a loop that no lane wants.
 
 struct Fetched {
     light: vec4<f32>,
@@ -103,7 +101,7 @@ fn fetch(
 // Light per unit of what guides expect of the dominant source, as samples around have shown.
 fn light_gain(eye: u32, position: vec2<u32>) -> vec3<f32> {
     var gain = vec3<f32>(0.0);
-    for (var once = denoise.sun.w > 0.0; once; once = false) {
+    if denoise.sun.w > 0.0 {
         gain = tile_at(eye, position, 2u).rgb;
     }
     return gain;
@@ -148,10 +146,10 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     var sums = array<vec4<f32>, 4>(vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0));
     let end = select(min(TILE * (row.x + 1u), size.x), 0u, row.y >= size.y);
     // Guides of a view at rest are the last frame's.
-    for (var once = end > 0u && denoise.eyes[eye].frame.y != HISTORY_SAME; once; once = false) {
+    if end > 0u && denoise.eyes[eye].frame.y != HISTORY_SAME {
         let wanted = uncovered(eye, row, end);
         for (var x = TILE * row.x; x < end && wanted != 0u; x += 1u) {
-            for (var edge = (wanted >> (x - TILE * row.x) & 1u) != 0u; edge; edge = false) {
+            if (wanted >> (x - TILE * row.x) & 1u) != 0u {
                 guide_between(eye, vec2<u32>(x, row.y));
             }
         }
@@ -163,7 +161,7 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
         lights[scratch_at(pixel)] = before.light;
         counts[both_at(pixel)] = vec2<f32>(before.frames, before.filtered);
         let words = keys[half_now() + pixel];
-        for (var once = is_met(words) && before.frames > 0.0; once; once = false) {
+        if is_met(words) && before.frames > 0.0 {
             let guide = lights[albedo_at(pixel)];
             let scale = guide.rgb + ALBEDO_FLOOR;
             let light = new_light(eye, pixel, guide);
@@ -181,7 +179,7 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
             }
         }
     }
-    for (var once = denoise.sun.w > 0.0; once; once = false) {
+    if denoise.sun.w > 0.0 {
         for (var x = TILE * row.x; x < end; x += 1u) {
             sums[3] += light_slope(eye, vec2<u32>(x, row.y));
         }
@@ -199,14 +197,14 @@ fn light_slope(eye: u32, position: vec2<u32>) -> vec4<f32> {
     let is_across = ((position.x ^ position.y) & 1u) == 0u;
     let there = position + select(vec2<u32>(0u, PAIR), vec2<u32>(PAIR, 0u), is_across);
     var slope = vec4<f32>(0.0);
-    for (var once = all(there < size); once; once = false) {
+    if all(there < size) {
         let a = denoise.eyes[eye].image.w + position.x + size.x * position.y;
         let b = denoise.eyes[eye].image.w + there.x + size.x * there.y;
         let words_a = keys[half_now() + a];
         let words_b = keys[half_now() + b];
         let expected = unpack2x16float(words_a.x).y - unpack2x16float(words_b.x).y;
         let are_marched = is_marched(words_a.x) && is_marched(words_b.x);
-        for (var both = are_marched && expected != 0.0; both; both = false) {
+        if are_marched && expected != 0.0 {
             let light_a = new_light(eye, a, lights[albedo_at(a)]);
             let light_b = new_light(eye, b, lights[albedo_at(b)]);
             if light_a.a > NOT_FINITE && light_b.a > NOT_FINITE {
@@ -225,7 +223,7 @@ fn history_of(eye: u32, position: vec2<u32>, pixel: u32) -> Fetched {
         before = Fetched(state[half_before() + pixel], count.x, count.y, 1.0);
     } else if history == HISTORY_MOVED {
         let words = keys[half_now() + pixel];
-        for (var once = is_met(words); once; once = false) {
+        if is_met(words) {
             let key = unpack_key(words);
             let here = position_of(eye, position, key.depth);
             let there = vec3<f32>(
@@ -361,7 +359,7 @@ fn blend(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     var old = lights[scratch_at(pixel)];
     let count = counts[both_at(pixel)];
     var frames = count.x;
-    for (var once = denoise.eyes[eye].frame.y == HISTORY_MOVED && frames > 0.0; once; once = false) {
+    if denoise.eyes[eye].frame.y == HISTORY_MOVED && frames > 0.0 {
         let tile = tile_at(eye, position, 0u);
         old = vec4<f32>(old.rgb * (1.0 + tile.rgb), old.a);
         frames /= 1.0 + frames * tile.w;
@@ -392,7 +390,7 @@ fn stereo(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
     let key = unpack_key(words);
     var light = state[half_now() + pixel];
     var frames = counts[half_now() + pixel].x;
-    for (var once = denoise.counts.x == 2u && key.albedo > 0.0; once; once = false) {
+    if denoise.counts.x == 2u && key.albedo > 0.0 {
         let here = position_of(eye, position, key.depth);
         let there = vec3<f32>(
             dot(denoise.eyes[eye].other_x, here),
@@ -438,7 +436,7 @@ fn prefilter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     let pixel = first + position.x + size.x * position.y;
     let words = keys[both_at(pixel)];
     var near = vec4<f32>(0.0);
-    for (var once = is_met(words); once; once = false) {
+    if is_met(words) {
         let pixel_size = denoise.eyes[eye].turn_x.w;
         let key = unpack_key(words);
         let inverse_noise = 1.0 / tile_at(eye, position, 1u).y;
@@ -496,7 +494,7 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
     let words = keys[both_at(pixel)];
     var result = own;
     var filtered = own;
-    for (var once = is_met(words); once; once = false) {
+    if is_met(words) {
         let pixel_size = denoise.eyes[eye].turn_x.w;
         let key = unpack_key(words);
         let tile = tile_at(eye, position, 1u);
