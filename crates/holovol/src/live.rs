@@ -28,6 +28,8 @@ pub(crate) struct Live {
     environment: (*const [f32; 3], Arc<GpuEnvironment>),
     light: LightChange,
     denoise_kernels: Arc<DenoiseKernels>,
+    /// Since a denoiser wants it.
+    gathers_light: bool,
 }
 
 impl Live {
@@ -61,6 +63,7 @@ impl Live {
             environment: (map.texels().as_ptr(), environment),
             light: LightChange::default(),
             denoise_kernels: Arc::new(DenoiseKernels::new(gpu)?),
+            gathers_light: false,
         })
     }
 
@@ -81,6 +84,7 @@ impl Live {
         self.tracer.set_medium(&Medium::from_scene(scene))?;
         let sizes: Vec<_> = cameras.iter().map(|c| [c.width, c.height]).collect();
         self.tracer.set_views(&sizes)?;
+        self.tracer.gather_light(self.gathers_light)?;
         self.tracer.wait_for_kernels();
         let views: Vec<_> = cameras
             .iter()
@@ -142,7 +146,8 @@ impl Live {
     }
 
     /// A denoiser for these frames.
-    pub(crate) fn denoiser(&self, settings: DenoiseSettings) -> Denoiser {
+    pub(crate) fn denoiser(&mut self, settings: DenoiseSettings) -> Denoiser {
+        self.gathers_light |= settings.wants_light();
         Denoiser::new(&self.gpu, Arc::clone(&self.denoise_kernels), settings)
     }
 

@@ -21,6 +21,7 @@ mod fetch;
 mod frame;
 mod gpu;
 mod layout;
+mod light_grid;
 mod majorant;
 mod shader;
 #[cfg(any(test, feature = "testing"))]

@@ -7,6 +7,7 @@ use std::borrow::Cow;
 use std::cell::Cell;
 
 pub use crate::denoise::cpu as denoise;
+pub use crate::light_grid::cpu as light_grid;
 pub use crate::majorant::cpu as majorants;
 pub use crate::shared as twins;
 pub use crate::trace::contract::{Contract, Lane};

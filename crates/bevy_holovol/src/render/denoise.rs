@@ -184,17 +184,16 @@ pub(super) fn plan(inner: &mut Inner, views: &[ExtractedVolumeView], statistics:
         let Some((tracer, denoisings)) = tracing.tracer_mut() else {
             continue;
         };
-        let tracer = &*tracer;
-        for eyes in groups(&inner.plan, *key) {
-            let cameras: Vec<_> = eyes.iter().map(|&eye| inner.plan[eye].camera).collect();
+        let groups = groups(&inner.plan, *key);
+        for (eyes, cameras) in &groups {
             let Some(wanted) = inner.plan[eyes[0]].denoising else {
                 continue;
             };
             // Eyes that have been put together, or parted, begin anew.
             denoisings.retain(|d| {
-                d.cameras == cameras || cameras.iter().all(|&camera| d.eye(camera).is_none())
+                d.cameras == *cameras || cameras.iter().all(|&camera| d.eye(camera).is_none())
             });
-            if denoisings.iter().all(|d| d.cameras != cameras) {
+            if denoisings.iter().all(|d| d.cameras != *cameras) {
                 let kernels = match &inner.denoise_kernels {
                     Some(kernels) => Arc::clone(kernels),
                     None => match DenoiseKernels::new(&inner.gpu) {
@@ -208,16 +207,25 @@ pub(super) fn plan(inner: &mut Inner, views: &[ExtractedVolumeView], statistics:
                 let new = Denoising::new(&inner.gpu, &kernels, cameras.clone(), wanted.denoiser);
                 denoisings.push(new);
             }
-            let found = denoisings.iter_mut().find(|d| d.cameras == cameras);
+        }
+        let gathers = denoisings
+            .iter()
+            .any(|d| d.denoiser.settings().wants_light());
+        if let Err(error) = tracer.gather_light(gathers) {
+            statistics.errors.push(error.to_string());
+        }
+        for (eyes, cameras) in &groups {
+            let found = denoisings.iter_mut().find(|d| d.cameras == *cameras);
             if let Some(denoising) = found {
-                denoising.plan(tracer, &mut inner.plan, &eyes, statistics);
+                denoising.plan(tracer, &mut inner.plan, eyes, statistics);
             }
         }
     }
 }
 
-/// Planned views of a volume that are denoised: alone, or the left and the right eye.
-fn groups(plan: &[PlannedView], key: TracerKey) -> Vec<Vec<usize>> {
+/// Planned views of a volume that are denoised: alone, or the left and the right eye; and their
+/// cameras.
+fn groups(plan: &[PlannedView], key: TracerKey) -> Vec<(Vec<usize>, Vec<MainEntity>)> {
     let denoised = |&i: &usize| plan[i].key == key && plan[i].denoising.is_some();
     let views: Vec<usize> = (0..plan.len()).filter(denoised).collect();
     let left_of = |right: usize| {
@@ -231,9 +239,14 @@ fn groups(plan: &[PlannedView], key: TracerKey) -> Vec<Vec<usize>> {
         .iter()
         .filter_map(|&right| Some(vec![left_of(right)?, right]))
         .collect();
-    let alone = views
+    let alone: Vec<_> = views
         .iter()
-        .filter(|view| !pairs.iter().flatten().any(|eye| eye == *view));
-    let alone: Vec<_> = alone.map(|&view| vec![view]).collect();
-    [pairs, alone].concat()
+        .filter(|view| !pairs.iter().flatten().any(|eye| eye == *view))
+        .collect();
+    let alone = alone.into_iter().map(|&view| vec![view]);
+    let with_cameras = |eyes: Vec<usize>| {
+        let cameras = eyes.iter().map(|&eye| plan[eye].camera).collect();
+        (eyes, cameras)
+    };
+    pairs.into_iter().chain(alone).map(with_cameras).collect()
 }

@@ -85,7 +85,7 @@ impl FromWorld for VolumeGpu {
         let info: &wgpu::AdapterInfo = &world.resource::<RenderAdapterInfo>().0;
         let limits = device.limits();
         /// As many does the tracer bind.
-        const STORAGE_BUFFERS: u32 = 7;
+        const STORAGE_BUFFERS: u32 = 8;
         if limits.max_storage_buffers_per_shader_stage < STORAGE_BUFFERS {
             warn!(
                 "volumes are not drawn: this device binds {} storage buffers to a shader, {} are \

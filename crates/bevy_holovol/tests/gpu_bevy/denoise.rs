@@ -376,6 +376,7 @@ impl Replay {
         )
         .expect("a tracer");
         tracer.set_views(&[[SIZE; 2]; 2]).expect("room");
+        tracer.gather_light(true).expect("room for light");
         tracer.wait_for_kernels();
         let kernels = Arc::clone(&self.denoise_kernels);
         let mut denoiser = Denoiser::new(&self.gpu, kernels, DenoiseSettings::default());

@@ -37,7 +37,8 @@ struct Denoise {
     eyes: array<Eye, 2>,
     // x: eyes; y: pixels of a half, those of all eyes at least; z: tiles, likewise; w: unused.
     counts: vec4<u32>,
-    // Which half, 0 or 1, is x: this frame's, y: the last one's, z: this frame's of the tiles.
+    // Which half, 0 or 1, is x: this frame's, y: the last one's, z: this frame's of the tiles; w: 1 if
+    // guides are this frame's, 0 if they are those of a view at rest.
     halves: vec4<u32>,
     // Change of the estimate that a unit of each is expected to make, squared and relative:
     // x: pixel^2; y: 1 - cosine of normals; z: depth by spread, squared; w: relative opacity^2.
@@ -52,8 +53,11 @@ struct Denoise {
     // z: factor on what guides of the last frame must agree, per radian that a place has turned;
     // w: of light as the guides expect it.
     edges: vec4<f32>,
-    // xyz: toward the dominant light, world space; w: 0 if there is none.
+    // xyz: toward the dominant light, world space; w: 0 if there is no guide of light.
     sun: vec4<f32>,
+    // What that guide has x: of the dominant light, y: of the light grid; 0 of what it doesn't know;
+    // z: 1 if the last frame's was of the same, else 0; w: texels along a cell of the grid.
+    light: vec4<f32>,
 }
 
 const HISTORY_NONE: u32 = 0u;
@@ -102,7 +106,7 @@ struct Key {
     spread: f32,
     // Frames that the estimate is worth.
     frames: f32,
-    // What the dominant source is expected to add to light, in units of its own.
+    // What light is expected to be, but for a factor: of the dominant source and of the light grid.
     light: f32,
 }
 

@@ -22,6 +22,7 @@ const USED: &[&str] = &[
     "SLICES",
     "SURFACE",
     "MESH_DEPTH",
+    "LIGHT_GRID",
     "CLIP_PLANES",
     "CLIP_PLANES_MAX",
     "VIEWS_MAX",
@@ -118,6 +119,8 @@ impl DenoiseKernels {
         let other = general.then(Medium::general);
         let surroundings = Surroundings {
             mesh_depth: general || matter.surroundings.mesh_depth,
+            // What serves for a while does without.
+            light_grid: !general && matter.surroundings.light_grid,
             ..matter.surroundings
         };
         let medium = other.as_ref().unwrap_or(medium);
@@ -166,6 +169,7 @@ impl GuideKernel {
                 (16, uniform()),
                 (18, storage(false)),
                 (23, storage(false)),
+                (24, storage(true)),
             ],
         )?;
         let mut all = defs.clone();
@@ -183,7 +187,10 @@ impl GuideKernel {
         matter: &Matter<'_>,
         sizes: &[[u32; 2]],
         [uniform, lights, keys]: [&wgpu::Buffer; 3],
+        light_grid: Option<&wgpu::Buffer>,
     ) -> Result<(), RenderError> {
+        // Something that can be read, where there is no grid.
+        let light = light_grid.unwrap_or(&matter.buffers.points);
         let group = gpu.scoped("guides", 0, || {
             let resources = [
                 (0, matter.buffers.scene.as_entire_binding()),
@@ -197,6 +204,7 @@ impl GuideKernel {
                 (16, uniform.as_entire_binding()),
                 (18, keys.as_entire_binding()),
                 (23, lights.as_entire_binding()),
+                (24, light.as_entire_binding()),
             ];
             gpu.numbered_group("holovol guides", &self.layout, resources)
         })?;

@@ -2,6 +2,7 @@
 
 use std::f64::consts::{PI, TAU};
 
+use glam::{DMat3, DMat4};
 use holovol_light::change::ChangeDetector;
 use holovol_light::{EnvironmentMap, Grid};
 
@@ -114,8 +115,23 @@ impl LightChange {
     }
 }
 
+/// T for places of a volume that has moved so: what turns changes as under a turned environment, what
+/// grows by a tenth has optical depths that are a tenth more, which counts 0.2.
+pub(super) fn change_by_motion(moved: DMat4) -> f32 {
+    let linear = DMat3::from_mat4(moved);
+    let scale = linear.determinant().abs().cbrt();
+    let off = (linear * scale.recip() - DMat3::IDENTITY).to_cols_array();
+    // Of a turn: the length is the square root of 8 times the sine of half the angle.
+    let length = off.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let turned = 2.0 * (length / 8f64.sqrt()).min(1.0).asin();
+    let change = (PER_RADIAN * turned).max(2.0 * scale.ln().abs()).min(1.0) as f32;
+    if change.is_nan() { 1.0 } else { change }
+}
+
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
+
     use super::*;
 
     fn room(lamp: f32, tint: [f32; 3]) -> EnvironmentMap {
@@ -157,5 +173,29 @@ mod tests {
         let other = EnvironmentMap::constant([1.0; 3]);
         assert_eq!(change.update(&other, 3.0, 0.25, |_| 0.6), 0.6);
         assert_eq!(change.update(&other, 0.0, 0.25, same), 0.0, "turned alike");
+    }
+
+    #[test]
+    fn turned_volumes_count_as_turned_light() {
+        let turn =
+            |degrees: f64| DMat4::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), degrees.to_radians());
+        for degrees in [0.0, 0.5, 10.0] {
+            let expected = 0.05 * degrees as f32;
+            let found = change_by_motion(turn(degrees) * DMat4::from_translation(DVec3::X));
+            assert!(
+                (found - expected).abs() < 1e-6,
+                "{found}, {degrees} degrees"
+            );
+        }
+        assert_eq!(change_by_motion(turn(179.0)), 1.0);
+        assert_eq!(
+            change_by_motion(DMat4::from_scale(DVec3::new(-1.0, 1.0, 1.0))),
+            1.0
+        );
+        let grown = change_by_motion(DMat4::from_scale(DVec3::splat(1.1)));
+        assert!((grown - 0.19).abs() < 0.01, "{grown}");
+        for nowhere in [DMat4::ZERO, DMat4::NAN] {
+            assert_eq!(change_by_motion(nowhere), 1.0);
+        }
     }
 }

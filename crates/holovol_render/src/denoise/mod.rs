@@ -1,7 +1,8 @@
 //! Takes the noise out of a few samples per pixel: across neighbours, frames and eyes.
 //!
 //! [`Denoiser::record`] follows [`FrameTracer::record`] in the same encoder; each frame's samples
-//! must be that frame's alone ([`ViewFrame::restart`](crate::ViewFrame::restart)). Modes:
+//! must be that frame's alone ([`ViewFrame::restart`](crate::ViewFrame::restart)). Before that the
+//! tracer is told to gather light if the denoiser wants it ([`FrameTracer::gather_light`]). Modes:
 //! [`DenoiseMode::Holovol`] is consistent: a resting view converges to what the tracer converges
 //! to; in motion it is biased. [`DenoiseMode::Paper`] is Cheng et al. 2023 as printed, biased
 //! always. docs/denoising.md explains both and says what they cost.
@@ -10,6 +11,7 @@ mod buffers;
 #[cfg(any(test, feature = "testing"))]
 pub mod cpu;
 mod edit;
+mod gathered;
 mod kernels;
 mod light;
 mod passes;
@@ -21,12 +23,14 @@ mod uniforms;
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
-use glam::{DMat3, DMat4};
+use glam::DMat4;
 
+use crate::light_grid::LightGrid;
 use crate::shader::{ShaderFile, shader_file};
 use crate::{FrameImage, FrameTracer, Gpu, Medium, RenderError, View};
 use buffers::Buffers;
 use edit::is_edit;
+use gathered::LightGuide;
 pub use kernels::DenoiseKernels;
 use kernels::GuideKernel;
 pub use light::{LightChange, environment_change};
@@ -78,7 +82,9 @@ pub struct DenoiseFrame<'a> {
 struct Before {
     views: Vec<View>,
     medium: Medium,
-    sun: [f32; 4],
+    light: LightGuide,
+    /// The grid that it was of holds other light by now.
+    is_other_light: bool,
 }
 
 /// Denoises the images of one [`FrameTracer`].
@@ -88,6 +94,8 @@ pub struct Denoiser {
     settings: DenoiseSettings,
     passes: Option<Arc<Passes>>,
     buffers: Option<Buffers>,
+    light: Option<LightGrid>,
+    forgets_light: bool,
     before: Option<Before>,
     /// Samples of every pixel since something has changed.
     gathered: u32,
@@ -104,6 +112,8 @@ impl Denoiser {
             settings,
             passes: None,
             buffers: None,
+            light: None,
+            forgets_light: false,
             before: None,
             gathered: 0,
             half: 0,
@@ -111,10 +121,16 @@ impl Denoiser {
         }
     }
 
+    /// As it was made.
+    pub fn settings(&self) -> &DenoiseSettings {
+        &self.settings
+    }
+
     /// Forgets all frames.
     pub fn reset(&mut self) {
         self.before = None;
         self.gathered = 0;
+        self.forgets_light = true;
     }
 
     /// Whether [`Denoiser::record`] would not have to wait for the compiler; asks for what is
@@ -123,7 +139,7 @@ impl Denoiser {
     /// # Errors
     /// If something doesn't compile.
     pub fn is_ready(&mut self, tracer: &FrameTracer) -> Result<bool, RenderError> {
-        Ok(self.compiled_passes()?.is_some() && self.compiled_guides(tracer)?.is_some())
+        Ok(self.compiled_passes()?.is_some() && self.compiled_guides(tracer)?.0.is_some())
     }
 
     /// Waits for the compiler, so that all frames are made by the same kernels: for tests and
@@ -133,7 +149,7 @@ impl Denoiser {
     /// If something doesn't compile.
     pub fn wait_for_kernels(&mut self, tracer: &FrameTracer) -> Result<(), RenderError> {
         self.compiled_passes()?;
-        let matter = tracer.matter();
+        let matter = self.matter(tracer);
         self.kernels.guides(tracer.medium(), &matter, false)?;
         self.kernels.wait();
         self.compiled_passes().map(|_| ())
@@ -146,11 +162,16 @@ impl Denoiser {
         Ok(self.passes.clone())
     }
 
-    fn compiled_guides(&self, tracer: &FrameTracer) -> Result<Option<GuideKernel>, RenderError> {
-        let matter = tracer.matter();
+    /// The march, and whether it reads the light grid.
+    fn compiled_guides(
+        &self,
+        tracer: &FrameTracer,
+    ) -> Result<(Option<GuideKernel>, bool), RenderError> {
+        let matter = self.matter(tracer);
+        let general = || self.kernels.guides(tracer.medium(), &matter, true);
         match self.kernels.guides(tracer.medium(), &matter, false)? {
-            None => self.kernels.guides(tracer.medium(), &matter, true),
-            special => Ok(special),
+            None => Ok((general()?, false)),
+            special => Ok((special, matter.surroundings.light_grid)),
         }
     }
 
@@ -188,7 +209,7 @@ impl Denoiser {
         if !self.is_ready(tracer)? {
             self.wait_for_kernels(tracer)?;
         }
-        let guides = self.compiled_guides(tracer)?;
+        let (guides, reads_grid) = self.compiled_guides(tracer)?;
         let sizes: Vec<_> = images.iter().map(|image| image.size).collect();
         let eyes = self.before.as_ref().map(|before| before.views.len());
         if frame.reset || eyes != Some(images.len()) {
@@ -206,9 +227,13 @@ impl Denoiser {
         }
         let medium = tracer.medium();
         let views: Vec<_> = images.iter().map(|image| image.view).collect();
-        let sun = self.sun(tracer);
+        self.prepare_light(encoder, tracer);
+        let light = self.light_guide(tracer, reads_grid);
+        let before = self.before.as_ref();
+        let is_same_guide = before
+            .is_some_and(|before| before.light.made_of == light.made_of && !before.is_other_light);
         let same = self.is_same(&views, medium)
-            && self.before.as_ref().is_some_and(|before| before.sun == sun)
+            && before.is_some_and(|before| before.light.sun[..3] == light.sun[..3])
             && frame.light_change <= 0.0
             && !frame.meshes_changed;
         if !same {
@@ -217,9 +242,20 @@ impl Denoiser {
         }
         self.tile_half = 1 - self.tile_half;
         let samples = images.iter().map(|image| image.samples).min();
-        self.gathered = self.gathered.saturating_add(samples.unwrap_or(0));
+        let before = self.gathered;
+        self.gathered = before.saturating_add(samples.unwrap_or(0));
+        // At rest guides stay, but for what the light grid has learnt each time that samples double.
+        let has_learnt = light.made_of[1] > 0.0
+            && (!is_same_guide || self.gathered.max(1).ilog2() != before.max(1).ilog2());
+        let marches = !same || has_learnt;
         let mut uniform = self.uniform(&images, frame, medium, same);
-        uniform.sun = sun;
+        let [of_sun, of_grid] = light.made_of;
+        let grid = self.light.as_ref();
+        let texels_per_cell = grid.map_or(0.0, |grid| grid.texels_per_cell as f32);
+        uniform.sun = light.sun;
+        uniform.light = [of_sun, of_grid, f32::from(is_same_guide), texels_per_cell];
+        uniform.halves[3] = u32::from(marches);
+        let change_inside = self.change_inside(frame, medium);
         let (Some(buffers), Some(guides)) = (&self.buffers, guides) else {
             return Ok(());
         };
@@ -228,13 +264,17 @@ impl Denoiser {
         self.before = Some(Before {
             views,
             medium: medium.clone(),
-            sun,
+            light,
+            is_other_light: false,
         });
-        if same {
-            return Ok(());
+        if marches {
+            let written = [&buffers.uniform, &buffers.lights, &buffers.keys];
+            let light = self.light.as_ref().map(|grid| &grid.smoothed);
+            let matter = self.matter(tracer);
+            guides.record(&self.gpu, encoder, &matter, &sizes, written, light)?;
         }
-        let written = [&buffers.uniform, &buffers.lights, &buffers.keys];
-        guides.record(&self.gpu, encoder, &tracer.matter(), &sizes, written)
+        // Only now: the guide must not know this frame's noise.
+        self.settle_light(encoder, tracer, change_inside)
     }
 
     /// The second part of [`Denoiser::record`].
@@ -284,16 +324,26 @@ impl Denoiser {
             .is_some_and(|before| before.medium == *medium && before.views == views)
     }
 
-    /// Toward the dominant light, if guides are to know of it: world space, and 1.
-    fn sun(&self, tracer: &FrameTracer) -> [f32; 4] {
-        let medium = tracer.medium();
-        let sun = tracer
-            .sun()
-            .filter(|sun| sun.share >= self.settings.sun_share && !self.settings.is_paper());
-        sun.map_or([0.0; 4], |sun| {
-            let turn = DMat3::from_rotation_y(medium.environment_rotation_y);
-            (turn * sun.direction).extend(1.0).as_vec4().to_array()
+    /// Where a place of this frame was in the last.
+    fn moved(&self, medium: &Medium) -> DMat4 {
+        let before = self.before.as_ref().map(|before| &before.medium);
+        before.map_or(DMat4::IDENTITY, |before| {
+            before.world_from_unit_cube * medium.world_from_unit_cube.inverse()
         })
+    }
+
+    /// How much light has changed since the last frame, as T.
+    fn change(&self, frame: &DenoiseFrame<'_>, medium: &Medium) -> f32 {
+        // What isn't a number is taken for any change.
+        let change = match frame.light_change.is_nan() {
+            true => 1.0,
+            false => frame.light_change.clamp(0.0, 1.0),
+        };
+        let before = self.before.as_ref().map(|before| &before.medium);
+        match before.is_some_and(|before| is_edit(before, medium)) {
+            true => change.max(EDIT),
+            false => change,
+        }
     }
 
     fn uniform(
@@ -305,23 +355,9 @@ impl Denoiser {
     ) -> DenoiseUniform {
         let settings = &self.settings;
         let mut uniform = DenoiseUniform::zeroed();
-        // What isn't a number is taken for any change.
-        let mut change = match frame.light_change.is_nan() {
-            true => 1.0,
-            false => frame.light_change.clamp(0.0, 1.0),
-        };
-        let mut moved = DMat4::IDENTITY;
-        if let Some(before) = &self.before {
-            moved = before.medium.world_from_unit_cube * medium.world_from_unit_cube.inverse();
-            if is_edit(&before.medium, medium) {
-                change = change.max(EDIT);
-            }
-        }
-        let kept = if change > 0.0 {
-            KEPT_FRAMES * (1.0 - change) / change
-        } else {
-            f32::INFINITY
-        };
+        let change = self.change(frame, medium);
+        let moved = self.moved(medium);
+        let kept = kept_frames(change);
         let most = if same { f32::MAX } else { settings.max_frames };
         let before = self.before.as_ref().map_or(&[][..], |before| &before.views);
         let sizes_before: Vec<_> = before.iter().map(|view| view.size).collect();
@@ -392,6 +428,15 @@ impl Denoiser {
             samples: 1,
             view,
         })
+    }
+}
+
+/// Frames of history that a change of light T leaves.
+fn kept_frames(change: f32) -> f32 {
+    if change > 0.0 {
+        KEPT_FRAMES * (1.0 - change) / change
+    } else {
+        f32::INFINITY
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::{FADE_FRAMES, TILE, workgroups};
 use crate::layout::{storage, uniform};
+use crate::light_grid::SettleKernel;
 use crate::shader::{ShaderDefs, ShaderFile, shader_file};
 use crate::{Gpu, RenderError};
 
@@ -12,6 +13,7 @@ pub(crate) const PAPER: ShaderFile = shader_file!("paper/paper.wgsl");
 pub(super) struct Passes {
     layout: wgpu::BindGroupLayout,
     pipelines: Vec<(&'static str, wgpu::ComputePipeline)>,
+    pub(super) settle: Option<SettleKernel>,
 }
 
 pub(crate) fn pass_defs(radius: u32) -> ShaderDefs {
@@ -56,7 +58,12 @@ impl Passes {
             .filter(|&&entry| only.is_none_or(|only| only == entry))
             .map(|&entry| Ok((entry, gpu.pipeline(file, &defs, entry, &layout)?)))
             .collect::<Result<_, RenderError>>()?;
-        Ok(Self { layout, pipelines })
+        let settles = !paper && only.is_none();
+        Ok(Self {
+            layout,
+            pipelines,
+            settle: settles.then(|| SettleKernel::new(gpu)).transpose()?,
+        })
     }
 
     /// Records them for eyes of these sizes. Buffers: uniform, state, keys, counts, tiles, samples,

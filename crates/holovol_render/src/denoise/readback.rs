@@ -44,8 +44,8 @@ impl Denoiser {
         Ok(self.read_keys()?.iter().map(depth).collect())
     }
 
-    /// The guides of both eyes: what the dominant light is expected to add, in units of its own;
-    /// also of pixels that have their guides from those around.
+    /// The guides of both eyes: what the dominant light is expected to add, in units of its own, or
+    /// what the light grid knows, times albedo / (albedo + 0.5); also of pixels that have their guides from those around.
     ///
     /// # Errors
     /// If the device is lost.
@@ -53,6 +53,20 @@ impl Denoiser {
     pub fn read_sunlight(&self) -> Result<Vec<f32>, RenderError> {
         let light = |words: &[u32; 4]| half::f16::from_bits((words[0] >> 16) as u16).to_f32().abs();
         Ok(self.read_keys()?.iter().map(light).collect())
+    }
+
+    /// The light grid: mean light in the environment's mean radiance, and picks, x fastest; empty
+    /// without one.
+    ///
+    /// # Errors
+    /// If the device is lost.
+    #[doc(hidden)]
+    pub fn read_light(&self, smoothed: bool) -> Result<Vec<[f32; 2]>, RenderError> {
+        let grid = self
+            .light
+            .as_ref()
+            .map(|grid| grid.read(&self.gpu, smoothed));
+        grid.unwrap_or(Ok(Vec::new()))
     }
 
     /// This frame's, as the passes pack them.

@@ -1,6 +1,8 @@
 //! What can be set, and how the passes are told.
 
+use super::Sun;
 use super::uniforms::DenoiseUniform;
+use crate::FrameTracer;
 
 /// How noise is taken out.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -60,7 +62,7 @@ pub struct DenoiseSettings {
     pub light_bias: f32,
     /// Bias expected of light that differs as much in this frame's own, by more than its noise.
     pub near_bias: f32,
-    /// Bias expected of light of the dominant source that differs as much, as guides know it.
+    /// Bias expected of light that differs as much by what guides know of it.
     pub sun_bias: f32,
     /// Share of the irradiance that the dominant source needs for guides to know of it: up to
     /// four shadow rays for each pixel.
@@ -111,6 +113,18 @@ impl Default for DenoiseSettings {
 }
 
 impl DenoiseSettings {
+    /// Whether the tracer should gather light for such a denoiser ([`FrameTracer::gather_light`]):
+    /// it works without, less well.
+    pub fn wants_light(&self) -> bool {
+        !self.is_paper()
+    }
+
+    /// The dominant source, if guides are to know of it.
+    pub(super) fn sun(&self, tracer: &FrameTracer) -> Option<Sun> {
+        let dominates = |sun: &Sun| sun.share >= self.sun_share && !self.is_paper();
+        tracer.sun().filter(dominates)
+    }
+
     /// Pixels to each side of the filter over neighbours.
     pub(super) fn pass_radius(&self) -> u32 {
         match self.mode {

@@ -15,6 +15,8 @@ pub(crate) struct Sun {
     pub(crate) direction: DVec3,
     /// Its share of the irradiance of a surface that faces it, 0 to 1.
     pub(crate) share: f64,
+    /// Its part of all light, from everywhere, 0 to 1.
+    pub(crate) part: f64,
 }
 
 impl Sun {
@@ -44,7 +46,15 @@ impl Sun {
         let facing = |cell: &Cell| cell.flux.dot(direction).max(0.0);
         let all: f64 = cells.iter().map(facing).sum();
         let share = near(direction).map(facing).sum::<f64>() / all;
-        share.is_finite().then_some(Self { direction, share })
+        let flux =
+            |cells: &mut dyn Iterator<Item = &Cell>| cells.map(|c| c.flux.length()).sum::<f64>();
+        let part = flux(&mut near(direction)) / flux(&mut cells.iter());
+        let found = Self {
+            direction,
+            share,
+            part,
+        };
+        (share.is_finite() && part.is_finite()).then_some(found)
     }
 }
 
@@ -110,6 +120,8 @@ mod tests {
             assert!(angle < 0.7, "{angle} degrees at {uv:?}");
             // 1000 · 0.0022 sr of it, and π from around.
             assert!((0.36..0.45).contains(&sun.share), "{}", sun.share);
+            // And 4π from everywhere.
+            assert!((0.13..0.17).contains(&sun.part), "{}", sun.part);
         }
     }
 

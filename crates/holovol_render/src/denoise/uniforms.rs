@@ -32,6 +32,7 @@ pub(super) struct DenoiseUniform {
     pub(super) tiles: [f32; 4],
     pub(super) edges: [f32; 4],
     pub(super) sun: [f32; 4],
+    pub(super) light: [f32; 4],
 }
 
 /// What the passes may take from the frame before.

@@ -13,14 +13,13 @@
 mod kernels;
 mod readback;
 mod record;
+mod report;
 mod resume;
 mod shares;
 mod split;
 mod view;
 
 use std::sync::Arc;
-
-use glam::DMat4;
 
 pub(crate) use kernels::FrameKernels;
 pub use kernels::Kernels;
@@ -35,6 +34,7 @@ use view::Slot;
 pub use view::{FrameImage, FrameWork, ViewFrame};
 
 use crate::depth::MeshDepth;
+use crate::light_grid::FreshLight;
 use crate::trace::{
     Buffers, GpuCounters, PIXEL_BYTES, Surroundings, check_medium, check_options, layout,
     shader_defs,
@@ -70,14 +70,15 @@ pub struct FrameTracer {
     bind_groups: Option<[wgpu::BindGroup; 2]>,
     bound_mesh_depth: Option<wgpu::TextureView>,
     shares: Shares,
+    fresh_light: Option<FreshLight>,
     resume: Resume,
     slots: Vec<Slot>,
     readback: Readback,
     counters: Counters,
     /// Counts how often an image has begun anew.
     beginnings: u64,
-    /// With what they were compiled for: mesh depth, shares of samples.
-    special_kernels: Option<([bool; 2], FrameKernels)>,
+    /// With what they were compiled for: mesh depth, shares of samples, the light grid.
+    special_kernels: Option<([bool; 3], FrameKernels)>,
     /// What the parts of a frame that takes several dispatches are told, one after the other.
     parts: Option<wgpu::Buffer>,
     samples_per_dispatch: u64,
@@ -121,6 +122,7 @@ impl FrameTracer {
             bind_groups: None,
             bound_mesh_depth: None,
             shares: Shares::default(),
+            fresh_light: None,
             resume,
             slots: Vec::new(),
             readback: Readback::new(gpu, size_of::<GpuCounters>() as u64)?,
@@ -267,6 +269,25 @@ impl FrameTracer {
         Ok(())
     }
 
+    /// Whether samples also gather light at places of the volume, for denoisers that want it
+    /// ([`DenoiseSettings::wants_light`](crate::DenoiseSettings::wants_light)). Costs nothing where
+    /// that is so already.
+    ///
+    /// # Errors
+    /// If the device has no room, or the kernels don't compile.
+    pub fn gather_light(&mut self, wanted: bool) -> Result<(), RenderError> {
+        if wanted != self.fresh_light.is_some() {
+            self.fresh_light = None;
+            self.bind_groups = None;
+            if wanted {
+                self.fresh_light = Some(FreshLight::new(&self.gpu, self.volume.texels())?);
+                // Begins to compile.
+                self.kernels(self.bound_mesh_depth.is_some())?;
+            }
+        }
+        Ok(())
+    }
+
     /// Records a frame's work. Views that are done, and all if nothing is left to do, cost nothing.
     ///
     /// # Errors
@@ -299,6 +320,9 @@ impl FrameTracer {
         let traces = self.slots.iter().any(Slot::is_traced);
         if !traces {
             return Ok(FrameWork::default());
+        }
+        if let Some(fresh) = &mut self.fresh_light {
+            fresh.clear(encoder);
         }
         let recorded = self.bind(mesh_depth);
         let recorded = recorded.and_then(|()| self.record_dispatches(encoder, &kernels));
@@ -343,14 +367,19 @@ impl FrameTracer {
         frame.samples > 0 && samples < frame.max_samples
     }
 
-    /// The variant for the present medium, or the general one until it is compiled.
+    /// The variant for the present medium, or one that serves until it is compiled: it gathers no
+    /// light.
     fn kernels(&mut self, mesh_depth: bool) -> Result<Option<FrameKernels>, RenderError> {
         let sample_shares = self.shares.are_there();
-        if let Some((compiled_for, kernels)) = &self.special_kernels
-            && *compiled_for == [mesh_depth, sample_shares]
-            && !self.general_only
-        {
-            return Ok(Some(kernels.clone()));
+        let light_grid = self.fresh_light.is_some();
+        let wanted = [mesh_depth, sample_shares, light_grid];
+        let of = |special: &Option<([bool; 3], FrameKernels)>, wanted| {
+            let special = special.as_ref().filter(|_| !self.general_only);
+            let (_, kernels) = special.filter(|(compiled_for, _)| *compiled_for == wanted)?;
+            Some(kernels.clone())
+        };
+        if let Some(kernels) = of(&self.special_kernels, wanted) {
+            return Ok(Some(kernels));
         }
         let surroundings = Surroundings {
             constant_environment: self.environment.is_constant(),
@@ -358,6 +387,7 @@ impl FrameTracer {
             slices: self.volume.slices,
             mesh_depth,
             sample_shares,
+            light_grid,
         };
         let get = |medium: &Medium, surroundings| {
             let defs = shader_defs(&self.gpu, medium, &self.options, surroundings);
@@ -368,13 +398,17 @@ impl FrameTracer {
         if let Some(kernels) = special
             && !self.general_only
         {
-            self.special_kernels = Some(([mesh_depth, sample_shares], kernels.clone()));
+            self.special_kernels = Some((wanted, kernels.clone()));
+            return Ok(Some(kernels));
+        }
+        if let Some(kernels) = of(&self.special_kernels, [mesh_depth, sample_shares, false]) {
             return Ok(Some(kernels));
         }
         get(
             &Medium::general(),
             Surroundings {
                 mesh_depth: true,
+                light_grid: false,
                 ..surroundings
             },
         )
@@ -394,115 +428,6 @@ impl FrameTracer {
             cells: u64::from(counted.cells),
             covered_samples: u64::from(counted.covered_samples),
         };
-    }
-
-    /// What the kernels counted, a few frames ago.
-    pub fn counters(&self) -> Counters {
-        self.counters
-    }
-
-    /// The medium.
-    pub fn medium(&self) -> &Medium {
-        &self.medium
-    }
-
-    /// A view's image; `None` until it has samples. What was traced last stays until the next image
-    /// begins.
-    pub fn image(&self, slot: usize) -> Option<FrameImage> {
-        let slot = self.slots.get(slot)?;
-        let view = slot.view?;
-        (slot.samples > 0).then_some(FrameImage {
-            first_pixel: slot.first_pixel,
-            size: view.size,
-            samples: slot.samples,
-            view,
-        })
-    }
-
-    /// Whether a view's image is of the present medium and light; while kernels are compiled it may
-    /// be of the former.
-    pub fn is_current(&self, slot: usize) -> bool {
-        self.slots.get(slot).is_some_and(|slot| !slot.is_stale)
-    }
-
-    /// Where the volume was when a view's image began: metres from unit-cube coordinates.
-    pub fn image_placement(&self, slot: usize) -> DMat4 {
-        let slot = self.slots.get(slot);
-        slot.map_or(self.medium.world_from_unit_cube, |slot| {
-            slot.world_from_unit_cube
-        })
-    }
-
-    /// The largest image that a view may have; 0 × 0 where there is no such view.
-    pub(crate) fn room(&self, slot: usize) -> [u32; 2] {
-        self.slots.get(slot).map_or([0; 2], |slot| slot.room)
-    }
-
-    /// Sums of all images: two vectors per pixel of premultiplied radiance and opacity.
-    pub fn accumulators(&self) -> &wgpu::Buffer {
-        &self.buffers.accumulators
-    }
-
-    /// The environment's dominant light, in its map's frame.
-    pub(crate) fn sun(&self) -> Option<crate::denoise::Sun> {
-        self.environment.sun()
-    }
-
-    /// What other kernels need in order to look at the volume as the tracer does.
-    pub(crate) fn matter(&self) -> Matter<'_> {
-        Matter {
-            volume: &self.volume,
-            majorants: &self.majorants,
-            buffers: &self.buffers,
-            options: &self.options,
-            surroundings: Surroundings {
-                constant_environment: self.environment.is_constant(),
-                has_density: self.environment.has_density(),
-                slices: self.volume.slices,
-                mesh_depth: self.slots.iter().any(|slot| slot.mesh_depth.is_some()),
-                sample_shares: false,
-            },
-            mesh_depth: self.buffers.mesh_depth(self.bound_mesh_depth.as_ref()),
-        }
-    }
-
-    /// Waits until its kernels are compiled: for tests and servers.
-    pub fn wait_for_kernels(&self) {
-        self.kernels.wait();
-    }
-
-    /// Traces with the variant that serves until the right one is compiled.
-    #[cfg(any(test, feature = "testing"))]
-    #[doc(hidden)]
-    pub fn use_general_kernels(&mut self, only: bool) {
-        self.general_only = only;
-    }
-
-    /// Splits frames into dispatches of about so many samples.
-    #[cfg(any(test, feature = "testing"))]
-    #[doc(hidden)]
-    pub fn split_at(&mut self, samples: u64) {
-        self.samples_per_dispatch = samples;
-    }
-
-    /// Reads a view's image back and waits for it: for tests and servers.
-    ///
-    /// # Errors
-    /// If the device is lost.
-    pub fn read_image(&self, slot: usize) -> Result<Vec<[f32; 4]>, RenderError> {
-        let Some(image) = self.image(slot) else {
-            return Ok(Vec::new());
-        };
-        let buffer = &self.buffers.accumulators;
-        let bytes = self.gpu.read_buffer("the image", buffer, buffer.size())?;
-        let sums: Vec<[[f32; 4]; 2]> = bytemuck::pod_collect_to_vec(&bytes);
-        let count = f64::from(image.samples);
-        let first = image.first_pixel as usize;
-        let pixels = image.size[0] as usize * image.size[1] as usize;
-        let mean = |[a, b]: &[[f32; 4]; 2]| {
-            std::array::from_fn(|c| ((f64::from(a[c]) + f64::from(b[c])) / count) as f32)
-        };
-        Ok(sums[first..first + pixels].iter().map(mean).collect())
     }
 }
 

@@ -54,7 +54,11 @@ impl FrameTracer {
                 most @ ..=SPREAD_SAMPLES => most,
                 _ => 0,
             };
-            slot.uniform.samples = [start, end, few, 0];
+            let texels_per_cell = self
+                .fresh_light
+                .as_ref()
+                .map_or(0, |fresh| fresh.texels_per_cell);
+            slot.uniform.samples = [start, end, few, texels_per_cell];
         }
     }
 
@@ -75,6 +79,7 @@ impl FrameTracer {
                 &self.environment,
                 mesh_depth,
                 self.shares.view(),
+                self.fresh_light.as_ref(),
                 0..self.buffers.pixels(),
             )?);
         }

@@ -7,6 +7,7 @@ use crate::denoise::{GUIDES, HOLOVOL, PAPER, pass_defs};
 use crate::depth::{DEPTH, SourceUniform};
 use crate::fetch::FETCH;
 use crate::frame::RESUME;
+use crate::light_grid::{SETTLE, SettleUniform};
 use crate::majorant::MAJORANT;
 use crate::trace::TRACE;
 use crate::trace::contract::CONTRACT;
@@ -28,6 +29,7 @@ const PLAIN: &[(&str, u32)] = &[
     ("SLICES", 1),
     ("MESH_DEPTH", 0),
     ("SAMPLE_SHARES", 0),
+    ("LIGHT_GRID", 0),
     ("SHARE_BLOCK", 8),
     ("CLIP_PLANES", 0),
     ("CLIP_PLANES_MAX", 8),
@@ -80,6 +82,8 @@ fn variants() -> Vec<ShaderDefs> {
             vec![("SLICES", 0)],
             vec![("SLICES", 0), ("HARDWARE_INTERPOLATION", 1), surface],
             vec![("STATISTICS", 1)],
+            vec![("LIGHT_GRID", 1)],
+            vec![("LIGHT_GRID", 1), ("MULTIPLE_SCATTERING", 1), surface],
             vec![("MESH_DEPTH", 1)],
             vec![("CLIP_PLANES", 1)],
             vec![("CLIP_PLANES", 8), ("MESH_DEPTH", 1), surface],
@@ -153,6 +157,12 @@ fn small_structs_lie_in_memory_as_their_kernels_read_them() {
         "ViewDepth",
         ViewDepthUniform { clip, place }
     );
+    assert_same_layout!(
+        &SETTLE,
+        &Vec::new(),
+        "Settle",
+        SettleUniform { size, kept, most }
+    );
 }
 
 fn view_depth_defs(slices: u32) -> ShaderDefs {
@@ -205,6 +215,7 @@ fn every_variant_of_every_kernel_is_valid() {
         validated(&TRACE, &with(&changes));
     }
     validated(&RESUME, &resume_defs());
+    validated(&SETTLE, &Vec::new());
     validated(&COMPOSITE, &Vec::new());
 }
 
@@ -231,6 +242,7 @@ fn kernels_translate_for_every_driver() {
         ("SUBGROUPS", 1),
         ("MESH_DEPTH", 1),
         ("SAMPLE_SHARES", 1),
+        ("LIGHT_GRID", 1),
         ("CLIP_PLANES", 8),
     ]);
     let slices = |slices| vec![("CELL_SIZE", 8), ("SLICES", slices)];
@@ -244,6 +256,7 @@ fn kernels_translate_for_every_driver() {
         (&DEPTH, vec![("MULTISAMPLED", 0)]),
         (&DEPTH, vec![("MULTISAMPLED", 1)]),
         (&RESUME, resume_defs()),
+        (&SETTLE, Vec::new()),
     ];
     for (file, defs) in kernels {
         let (module, info) = validated(file, &defs);
@@ -314,15 +327,19 @@ fn to_msl(module: &naga::Module, info: &ModuleInfo, entry: &str) -> Result<(), S
         .map_err(|error| error.to_string())
 }
 
+const WITH_ALL_BINDINGS: &[(&str, u32)] = &[
+    ("GUIDES", 1),
+    ("MESH_DEPTH", 1),
+    ("SAMPLE_SHARES", 1),
+    ("LIGHT_GRID", 1),
+];
+
 /// WebGPU's defaults allow eight storage buffers and four storage textures, four of 64 KiB uniforms.
 #[test]
 fn bindings_are_dense_and_within_webgpus_limits() {
     let limits = wgpu::Limits::default();
     let kernels = [
-        (
-            &TRACE,
-            with(&[("GUIDES", 1), ("MESH_DEPTH", 1), ("SAMPLE_SHARES", 1)]),
-        ),
+        (&TRACE, with(WITH_ALL_BINDINGS)),
         (&MAJORANT, vec![("CELL_SIZE", 8), ("SLICES", 0)]),
     ];
     for (file, defs) in kernels {
@@ -363,10 +380,7 @@ fn bindings_are_dense_and_within_webgpus_limits() {
 /// Names of the bound variables, in the order in which Rust lists their types.
 #[test]
 fn bindings_keep_the_order_of_the_layouts() {
-    let (module, _) = validated(
-        &TRACE,
-        &with(&[("GUIDES", 1), ("MESH_DEPTH", 1), ("SAMPLE_SHARES", 1)]),
-    );
+    let (module, _) = validated(&TRACE, &with(WITH_ALL_BINDINGS));
     let name = |wanted: u32| {
         let mut variables = module.global_variables.iter();
         variables.find_map(|(_, v)| match v.binding {

@@ -16,7 +16,7 @@ struct Scene {
     cells: vec4<u32>,
     // s = (texel - x) * y; z: g of the phase function; w: k * h of the surface blend, metres.
     field: vec4<f32>,
-    // x, y: cosine and sine of rotation_y; z: scale; w: unused.
+    // x, y: cosine and sine of rotation_y; z: scale; w: 1 / mean radiance, scaled; 0 if there is none.
     environment: vec4<f32>,
     // x, y: texels of the map; z: 1 / integral of importance over (u, v) * sin(theta); w: rows of
     // a band of its alias table.
@@ -45,7 +45,7 @@ struct View {
     // x, y: pixels across and down; z: its first pixel in the accumulators; w: seed.
     image: vec4<u32>,
     // x, y: samples [start, end) of every pixel; z: of an image of few samples how many, else 0;
-    // w: unused.
+    // w: texels along a cell of the light grid, 0 without.
     samples: vec4<u32>,
     // Depth of opaque meshes. x, y: pixels across and down; z: first layer; w: layers, one for
     // each sample of multisampling, 0: nothing is in the way.

@@ -14,6 +14,7 @@ pub struct GpuEnvironment {
     constant: Option<[f32; 3]>,
     /// Where most light comes from.
     sun: Option<Sun>,
+    mean: f64,
     /// 1 / integral of importance; `None` if nothing can be drawn: a constant or a black map.
     normalisation: Option<f64>,
     /// Of the table that light is drawn from.
@@ -112,6 +113,7 @@ impl GpuEnvironment {
             size: [width, height],
             constant,
             sun: Sun::find(map),
+            mean: mean_radiance(map),
             normalisation: sampler.map(|sampler| sampler.normalisation()),
             alias_rows,
         })
@@ -125,6 +127,11 @@ impl GpuEnvironment {
     /// Its dominant light, in the map's frame.
     pub(crate) fn sun(&self) -> Option<Sun> {
         self.sun
+    }
+
+    /// Over all directions, and over R, G, B.
+    pub(super) fn mean_radiance(&self) -> f64 {
+        self.mean
     }
 
     /// Whether directions can be drawn from its table.
@@ -148,4 +155,17 @@ impl GpuEnvironment {
             }
         }
     }
+}
+/// Over all directions, and over R, G, B.
+fn mean_radiance(map: &EnvironmentMap) -> f64 {
+    let (width, height) = (map.width(), map.height());
+    let rows = map.texels().chunks_exact(width).take(height).enumerate();
+    let (mut sum, mut all) = (0.0, 0.0);
+    for (y, row) in rows {
+        let solid_angle = ((y as f64 + 0.5) / height as f64 * std::f64::consts::PI).sin();
+        let texels = row.iter().flatten().map(|&c| f64::from(c));
+        sum += solid_angle * texels.sum::<f64>() / (3 * width) as f64;
+        all += solid_angle;
+    }
+    sum / all
 }

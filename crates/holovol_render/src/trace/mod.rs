@@ -221,6 +221,7 @@ impl Tracer {
                     light,
                     None,
                     None,
+                    None,
                     start..end,
                 )?;
                 Ok(Band { rows, bind_groups })
@@ -232,6 +233,7 @@ impl Tracer {
             slices: volume.slices,
             mesh_depth: false,
             sample_shares: false,
+            light_grid: false,
         };
         let defs = shader_defs(gpu, &medium, options, surroundings);
         let trace_pipeline = gpu.pipeline(&TRACE, &defs, "trace", &layout)?;

@@ -38,6 +38,10 @@ struct Path {
     light: vec3<f32>,
     radiance: vec3<f32>,
     opacity: f32,
+#if LIGHT_GRID == 1
+    // Of the pick that is being lit: what of its light comes back to the eye; 0 for later ones.
+    light_share: f32,
+#endif
 }
 
 fn save_path(path: Path, slot: u32) {
@@ -55,7 +59,11 @@ fn save_path(path: Path, slot: u32) {
     saved[slot].words[6] = bitcast<vec4<u32>>(vec4<f32>(path.wo, path.opacity));
     saved[slot].words[7] = bitcast<vec4<u32>>(vec4<f32>(path.next_wi, 0.0));
     saved[slot].words[8] = bitcast<vec4<u32>>(vec4<f32>(path.throughput, 0.0));
+#if LIGHT_GRID == 1
+    saved[slot].words[9] = bitcast<vec4<u32>>(vec4<f32>(path.light, path.light_share));
+#else
     saved[slot].words[9] = bitcast<vec4<u32>>(vec4<f32>(path.light, 0.0));
+#endif
     saved[slot].words[10] = bitcast<vec4<u32>>(vec4<f32>(path.radiance, 0.0));
     saved[slot].words[11] = bitcast<vec4<u32>>(vec4<f32>(path.flight_origin, 0.0));
     for (var k = 0u; k < PICKS; k += 1u) {
@@ -96,7 +104,11 @@ fn restore_path(slot: u32) -> Path {
     path.opacity = w6.w;
     path.next_wi = bitcast<vec4<f32>>(resumed[slot].words[7]).xyz;
     path.throughput = bitcast<vec4<f32>>(resumed[slot].words[8]).xyz;
-    path.light = bitcast<vec4<f32>>(resumed[slot].words[9]).xyz;
+    let w9 = bitcast<vec4<f32>>(resumed[slot].words[9]);
+    path.light = w9.xyz;
+#if LIGHT_GRID == 1
+    path.light_share = w9.w;
+#endif
     path.radiance = bitcast<vec4<f32>>(resumed[slot].words[10]).xyz;
     path.flight_origin = bitcast<vec4<f32>>(resumed[slot].words[11]).xyz;
     for (var k = 0u; k < PICKS; k += 1u) {

@@ -12,6 +12,7 @@ use super::{GpuCounters, Interpolation, Medium, TraceOptions};
 use crate::layout::{
     majorants, storage, texels, texture_2d_array, texture_2d_array_uint, texture_3d, uniform,
 };
+use crate::light_grid::FreshLight;
 use crate::{Gpu, GpuVolume, MajorantGrid, RenderError};
 
 /// Two sums of four channels.
@@ -35,6 +36,8 @@ pub(crate) struct Buffers {
     no_mesh_depth: wgpu::TextureView,
     /// Likewise, while every pixel gets all samples.
     no_shares: wgpu::TextureView,
+    /// Likewise, without a light grid.
+    no_light_grid: wgpu::Buffer,
 }
 
 impl Buffers {
@@ -105,6 +108,7 @@ impl Buffers {
                     ..Default::default()
                 }),
                 no_mesh_depth: nothing("holovol no mesh depth", wgpu::TextureFormat::R32Float),
+                no_light_grid: gpu.empty("holovol no light grid", 8, Usage::STORAGE),
                 no_shares: nothing("holovol no shares", wgpu::TextureFormat::R8Uint),
             }
         })
@@ -155,6 +159,7 @@ impl Buffers {
         environment: &GpuEnvironment,
         mesh_depth: Option<&wgpu::TextureView>,
         shares: Option<&wgpu::TextureView>,
+        fresh_light: Option<&FreshLight>,
         pixels: Range<u64>,
     ) -> Result<[wgpu::BindGroup; 2], RenderError> {
         let part = |buffer, bytes_per_pixel| {
@@ -170,6 +175,7 @@ impl Buffers {
         };
         let mesh_depth = self.mesh_depth(mesh_depth);
         let shares = shares.unwrap_or(&self.no_shares);
+        let fresh_light = fresh_light.map_or(&self.no_light_grid, |fresh| &fresh.sums);
         gpu.scoped("the image", 0, || {
             [[0, 1], [1, 0]].map(|[resumed, saved]: [usize; 2]| {
                 let resources = [
@@ -190,6 +196,7 @@ impl Buffers {
                     self.views.as_entire_binding(),
                     wgpu::BindingResource::TextureView(mesh_depth),
                     wgpu::BindingResource::TextureView(shares),
+                    fresh_light.as_entire_binding(),
                 ];
                 gpu.bind_group("holovol trace", layout, resources)
             })
@@ -230,6 +237,7 @@ pub(crate) fn layout(
         uniform(),
         texture_2d_array(false),
         texture_2d_array_uint(),
+        storage(false),
     ];
     gpu.bind_group_layout("holovol trace", &entries)
 }

@@ -24,6 +24,7 @@ pub(crate) const BINDINGS: &[&str] = &[
     "views",
     "mesh_depth_texture",
     "shares_texture",
+    "fresh_light",
 ];
 
 #[test]

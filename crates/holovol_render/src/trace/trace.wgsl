@@ -17,6 +17,9 @@
 }
 #import holovol_render::surface::{Surface, scatter_eval, scatter_pdf, scatter_sample}
 #import holovol_render::scattering::choose_light
+#if LIGHT_GRID == 1
+#import holovol_render::light_grid::insert::add_light
+#endif
 #import holovol_render::walk::{
     Walk, walk_start, walk_advance, walk_deepen, walk_distance, WALK_COLLISION, WALK_LEFT, NEVER,
     load_occupied, walk_cells_entered,
@@ -309,6 +312,10 @@ fn scatter(path: ptr<function, Path>) {
     let first = well_spread(*path, index, dimension, picks);
     let choice = choose_light(g, surface, (*path).wo, first, vec3<u32>((*path).key, stream));
     (*path).light = throughput * choice.weight / f32(picks);
+#if LIGHT_GRID == 1
+    let share = (*path).weight_sum * dot(material.albedo, vec3<f32>(1.0)) / f32(picks);
+    (*path).light_share = select(0.0, share, (*path).depth == 0u);
+#endif
     (*path).walk.origin = texel;
     (*path).stage = STAGE_BOUNCE;
     (*path).pick += 1u;
@@ -342,6 +349,13 @@ fn scatter(path: ptr<function, Path>) {
 }
 
 fn bounce(path: ptr<function, Path>) {
+#if LIGHT_GRID == 1
+    if (*path).light_share > 0.0 {
+        let light = dot((*path).light, vec3<f32>(1.0)) * (*path).transmittance / (*path).light_share;
+        add_light((*path).walk.origin, views[(*path).view].samples.w, light);
+        (*path).light_share = 0.0;
+    }
+#endif
     if (*path).pick < picks_at((*path).depth) {
         (*path).stage = STAGE_SCATTER;
         return;

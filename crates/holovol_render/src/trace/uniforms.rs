@@ -114,6 +114,12 @@ impl SceneUniform {
         }
         let (sin, cos) = medium.environment_rotation_y.sin_cos();
         let scale = medium.environment_scale;
+        let mean = environment.mean_radiance() * scale;
+        let per_mean = if mean > 0.0 {
+            (1.0 / mean).clamp(1e-30, 1e30) as f32
+        } else {
+            0.0
+        };
         let max_scatters = medium.max_scatters.unwrap_or(u32::MAX);
         Self {
             texel_from_world_x: vec4(rotation.row(0), 0.0),
@@ -128,7 +134,7 @@ impl SceneUniform {
                 medium.phase_g as f32,
                 (medium.gradient_factor * medium.min_spacing(volume.dims())) as f32,
             ],
-            environment: [cos as f32, sin as f32, scale as f32, 0.0],
+            environment: [cos as f32, sin as f32, scale as f32, per_mean],
             environment_size: environment.size_or_radiance(scale),
             transfer_density,
             clip,

@@ -51,6 +51,8 @@ pub(crate) struct Surroundings {
     pub(crate) mesh_depth: bool,
     /// Parts of an image get fewer samples.
     pub(crate) sample_shares: bool,
+    /// What samples find goes to the light grid, too.
+    pub(crate) light_grid: bool,
 }
 
 pub(crate) fn shader_defs(
@@ -93,6 +95,7 @@ pub(crate) fn shader_defs(
         ("SLICES", u32::from(surroundings.slices)),
         ("MESH_DEPTH", u32::from(surroundings.mesh_depth)),
         ("SAMPLE_SHARES", u32::from(surroundings.sample_shares)),
+        ("LIGHT_GRID", u32::from(surroundings.light_grid)),
         ("SHARE_BLOCK", crate::frame::SHARE_BLOCK),
         ("CLIP_PLANES", medium.clip_planes.len() as u32),
         ("CLIP_PLANES_MAX", Medium::MAX_CLIP_PLANES as u32),

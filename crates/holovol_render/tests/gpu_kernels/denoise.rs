@@ -37,7 +37,9 @@ fn modes() -> [DenoiseMode; 2] {
 pub(super) struct Rig<'a> {
     gpu: &'a Gpu,
     pub(super) tracer: FrameTracer,
-    medium: Medium,
+    pub(super) medium: Medium,
+    /// For a denoiser in mode `holovol`.
+    pub(super) gathers_light: bool,
     /// If not that of the images themselves.
     room: Option<[u32; 2]>,
 }
@@ -69,6 +71,7 @@ impl<'a> Rig<'a> {
             gpu,
             tracer,
             medium,
+            gathers_light: true,
             room: None,
         })
     }
@@ -91,6 +94,8 @@ impl<'a> Rig<'a> {
 
     pub(super) fn trace(&mut self, cameras: &[Camera], samples: u32) -> Result<(), String> {
         self.tracer.set_medium(&self.medium).map_err(text)?;
+        self.tracer.gather_light(self.gathers_light).map_err(text)?;
+        self.tracer.wait_for_kernels();
         let room = |c: &Camera| self.room.unwrap_or([c.width, c.height]);
         let rooms: Vec<_> = cameras.iter().map(room).collect();
         self.tracer.set_views(&rooms).map_err(text)?;

@@ -14,17 +14,18 @@ const SIDE: u32 = 24;
 const STEPS: u32 = 4000;
 
 /// Linear in the unit cube, so that interpolation adds no error of its own.
-fn field(place: DVec3) -> f64 {
-    let half = 0.5 / f64::from(SIDE);
-    let inside = place.clamp(DVec3::splat(half), DVec3::splat(1.0 - half));
+fn field(dims: [u32; 3], place: DVec3) -> f64 {
+    let half = 0.5 / DVec3::from_array(dims.map(f64::from));
+    let inside = place.clamp(half, 1.0 - half);
     0.1 + inside.dot(DVec3::new(0.5, 0.2, 0.1))
 }
 
-fn scene(sigma_t: f64) -> Result<Scene, String> {
+/// A linear field, and a medium that is denser and bluer the higher it is.
+pub(super) fn linear_scene(sigma_t: f64, dims: [u32; 3]) -> Result<Scene, String> {
     let voxel = |i: u32| {
-        let index = [i % SIDE, i / SIDE % SIDE, i / SIDE / SIDE];
-        let place = DVec3::from_array(index.map(|n| (f64::from(n) + 0.5) / f64::from(SIDE)));
-        field(place) as f32
+        let index = [i % dims[0], i / dims[0] % dims[1], i / dims[0] / dims[1]];
+        let middle = |axis: usize| (f64::from(index[axis]) + 0.5) / f64::from(dims[axis]);
+        field(dims, DVec3::from_array([0, 1, 2].map(middle))) as f32
     };
     let points = vec![
         scenes::point(0.2, 0.0),
@@ -35,8 +36,8 @@ fn scene(sigma_t: f64) -> Result<Scene, String> {
     ];
     Ok(Scene {
         volume: scenes::volume(
-            Voxels::F32((0..SIDE.pow(3)).map(voxel).collect()),
-            [SIDE; 3],
+            Voxels::F32((0..dims.iter().product()).map(voxel).collect()),
+            dims,
         ),
         window: [0.0, 1.0],
         transfer_function: TransferFunction::new(points).map_err(text)?,
@@ -57,19 +58,19 @@ struct Expected {
 }
 
 /// A straight line in unit-cube coordinates, by metres along the camera's axis or along itself.
-struct Line {
+pub(super) struct Line {
     origin: DVec3,
     direction: DVec3,
     /// Where it is in the cube.
-    enters: f64,
-    leaves: f64,
+    pub(super) enters: f64,
+    pub(super) leaves: f64,
     /// Metres per unit of the above.
-    metres: f64,
+    pub(super) metres: f64,
 }
 
 impl Line {
     /// From a place in the cube; a direction in world space.
-    fn new(scene: &Scene, origin: DVec3, world: DVec3) -> Self {
+    pub(super) fn new(scene: &Scene, origin: DVec3, world: DVec3) -> Self {
         let inverse: DMat4 = scene.world_from_unit_cube.inverse();
         let direction = inverse.transform_vector3(world);
         let (a, b) = (-origin / direction, (1.0 - origin) / direction);
@@ -83,7 +84,7 @@ impl Line {
     }
 
     /// Through the middle of a pixel.
-    fn of_pixel(scene: &Scene, x: u32, y: u32) -> Self {
+    pub(super) fn of_pixel(scene: &Scene, x: u32, y: u32) -> Self {
         let camera = &scene.camera;
         let forward = (camera.target - camera.eye).normalize();
         let right = forward.cross(camera.up).normalize();
@@ -99,7 +100,7 @@ impl Line {
     }
 
     /// Middles of equal steps, and how long one is.
-    fn steps(&self, count: u32) -> (impl Iterator<Item = f64> + use<>, f64) {
+    pub(super) fn steps(&self, count: u32) -> (impl Iterator<Item = f64> + use<>, f64) {
         let (enters, step) = (
             self.enters,
             (self.leaves - self.enters).max(0.0) / f64::from(count),
@@ -108,7 +109,7 @@ impl Line {
         ((0..count).map(middle), step)
     }
 
-    fn at(&self, t: f64) -> DVec3 {
+    pub(super) fn at(&self, t: f64) -> DVec3 {
         self.origin + t * self.direction
     }
 }
@@ -116,27 +117,31 @@ impl Line {
 /// How far a place is between the transfer function's points.
 fn share_at(scene: &Scene, place: DVec3) -> f64 {
     let points = scene.transfer_function.points();
-    ((field(place) - points[0].s) / (points[1].s - points[0].s)).clamp(0.0, 1.0)
+    ((field(scene.volume.dims(), place) - points[0].s) / (points[1].s - points[0].s))
+        .clamp(0.0, 1.0)
 }
 
-fn sigma_t_at(scene: &Scene, place: DVec3) -> f64 {
+pub(super) fn sigma_t_at(scene: &Scene, place: DVec3) -> f64 {
     share_at(scene, place) * scene.transfer_function.points()[1].sigma_t
+}
+
+pub(super) fn albedo_at(scene: &Scene, place: DVec3) -> DVec3 {
+    let points = scene.transfer_function.points();
+    let [low, high] = [0, 1].map(|i| DVec3::from_array(points[i].albedo));
+    low.lerp(high, share_at(scene, place))
 }
 
 /// What the ray through the middle of a pixel meets.
 fn quadrature(scene: &Scene, x: u32, y: u32) -> Expected {
     let line = Line::of_pixel(scene, x, y);
     let (depths, step) = line.steps(STEPS);
-    let points = scene.transfer_function.points();
     let [mut transmittance, mut sum, mut sum2] = [1.0, 0.0, 0.0];
     let mut albedo = DVec3::ZERO;
     for depth in depths {
-        let share = share_at(scene, line.at(depth));
-        let sigma_t = share * points[1].sigma_t;
+        let place = line.at(depth);
+        let sigma_t = sigma_t_at(scene, place);
         let taken = transmittance * (1.0 - (-sigma_t * step * line.metres).exp());
-        let colours = points[..2].iter().map(|p| DVec3::from_array(p.albedo));
-        let [low, high] = <[DVec3; 2]>::try_from(colours.collect::<Vec<_>>()).expect("two points");
-        albedo += taken * low.lerp(high, share);
+        albedo += taken * albedo_at(scene, place);
         sum += taken * depth;
         sum2 += taken * depth * depth;
         transmittance -= taken;
@@ -155,7 +160,7 @@ fn quadrature(scene: &Scene, x: u32, y: u32) -> Expected {
 pub fn equals_quadrature(gpu: &Gpu) -> Result<(), String> {
     // Media that hide what is behind are marched until 0.04 of it is left.
     for (sigma_t, within) in [(8.0, 0.004), (200.0, 0.04)] {
-        let scene = scene(sigma_t)?;
+        let scene = linear_scene(sigma_t, [SIDE; 3])?;
         let mut rig = Rig::of(gpu, &scene)?;
         rig.trace(&[scene.camera], 1)?;
         for sun_share in [f64::INFINITY, 0.0] {
@@ -209,12 +214,13 @@ pub fn sunlight_equals_quadrature(gpu: &Gpu) -> Result<(), String> {
     let toward = EnvironmentMap::direction_from_uv([90.5 / 128.0, 20.5 / 64.0]);
     // Dense media, whose cut faces must not shade themselves, and thin ones.
     for sigma_t in [400.0, 60.0, 20.0] {
-        let mut scene = scene(sigma_t)?;
+        let mut scene = linear_scene(sigma_t, [SIDE; 3])?;
         scene.environment.map = denoise_sun::sky(90);
         scene.environment.rotation_y = 0.0;
         scene.phase_g = 0.0;
         scene.gradient_factor = 0.0;
         let mut rig = Rig::of(gpu, &scene)?;
+        rig.gathers_light = false;
         rig.trace(&[scene.camera], 1)?;
         let mut denoiser = rig.denoiser_of(DenoiseSettings::default())?;
         rig.denoise(&mut denoiser, &[0])?;

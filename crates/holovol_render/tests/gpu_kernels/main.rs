@@ -11,6 +11,7 @@ mod frames;
 mod functions;
 mod grids;
 mod guides;
+mod light_grid;
 mod mutations;
 mod scenes;
 
@@ -98,6 +99,20 @@ const CHECKS: &[(&str, Check)] = &[
         "march_finds_sunlight_as_quadrature_does",
         denoise_march::sunlight_equals_quadrature,
     ),
+    (
+        "light_grid_settles_like_the_twin",
+        light_grid::settles_like_the_twin,
+    ),
+    (
+        "light_grid_knows_the_light",
+        light_grid::cells_know_the_light,
+    ),
+    (
+        "gathering_changes_no_image",
+        light_grid::gathering_changes_no_image,
+    ),
+    ("light_grid_forgets", light_grid::the_grid_forgets),
+    ("guides_see_the_light_grid", light_grid::guides_see_the_grid),
     ("denoiser_keeps_the_mean", denoise::the_mean_is_kept),
     (
         "denoiser_keeps_history_at_other_resolutions",

@@ -5,7 +5,7 @@ use holovol_render::testing::Mutation;
 
 use super::{
     Check, denoise, denoise_march, denoise_sun, denoise_twins, determinism, draws, frames,
-    functions, grids, guides,
+    functions, grids, guides, light_grid,
 };
 
 /// How a failure to compose or compile a kernel begins, see `RenderError::Internal`.
@@ -63,7 +63,120 @@ const GUIDE_KEYS: &str = "denoise/common.wgsl";
 const PAPER: &str = "paper/paper.wgsl";
 const MARCH: &str = "guides/guides.wgsl";
 
+const SETTLE: &str = "settle.wgsl";
+const LIGHT_CELLS: &str = "light_grid/cells.wgsl";
+const LIGHT_INSERT: &str = "light_grid/insert.wgsl";
+const LIGHT_LOOKUP: &str = "light_grid/lookup.wgsl";
+
 pub const MUTATIONS: &[Caught] = &[
+    caught(
+        SETTLE,
+        "f32(min(found.x, PICKS_OF_FRAME))",
+        "f32(found.x)",
+        light_grid::settles_like_the_twin,
+    ),
+    caught(
+        SETTLE,
+        "min(before.y, settle_by.kept)",
+        "before.y",
+        light_grid::settles_like_the_twin,
+    ),
+    caught(
+        SETTLE,
+        "min(all, settle_by.most)",
+        "all",
+        light_grid::settles_like_the_twin,
+    ),
+    caught(
+        SETTLE,
+        "- picks * before.x)",
+        "- before.x)",
+        light_grid::settles_like_the_twin,
+    ),
+    caught(
+        SETTLE,
+        "sum += there.y * vec2<f32>(there.x, 1.0);",
+        "sum += vec2<f32>(there.x, 1.0);",
+        light_grid::settles_like_the_twin,
+    ),
+    caught(
+        SETTLE,
+        "min(at + 1u, size - 1u)",
+        "min(at + 1u, size - 2u)",
+        light_grid::settles_like_the_twin,
+    ),
+    caught(
+        SETTLE,
+        "own.y + AROUND);",
+        "own.y + 30.0);",
+        light_grid::settles_like_the_twin,
+    ),
+    caught(
+        DENOISE,
+        "(1.0 - denoise.eyes[eye].history.z) * denoise.light.z",
+        "(1.0 - denoise.eyes[eye].history.z)",
+        denoise_twins::holovol,
+    ),
+    caught(
+        DENOISE,
+        "denoise.eyes[eye].history.w * denoise.light.z",
+        "denoise.eyes[eye].history.w",
+        denoise_twins::holovol,
+    ),
+    caught(
+        LIGHT_INSERT,
+        "< PICKS_OF_FRAME &&",
+        "< 4000000000u &&",
+        light_grid::cells_know_the_light,
+    ),
+    caught(
+        LIGHT_INSERT,
+        "light * scene.environment.w",
+        "light",
+        light_grid::cells_know_the_light,
+    ),
+    caught(
+        LIGHT_CELLS,
+        "cell.x + size.x * (cell.y",
+        "cell.x + size.y * (cell.y",
+        light_grid::cells_know_the_light,
+    ),
+    caught(
+        TRACE,
+        "dot((*path).light, vec3<f32>(1.0)) * (*path).transmittance",
+        "dot((*path).light, vec3<f32>(1.0))",
+        light_grid::cells_know_the_light,
+    ),
+    caught(
+        TRACE,
+        "select(0.0, share, (*path).depth == 0u)",
+        "share",
+        light_grid::cells_know_the_light,
+    ),
+    caught(
+        LIGHT_LOOKUP,
+        "f32(texels_per_cell) - 0.5",
+        "f32(texels_per_cell)",
+        light_grid::guides_see_the_grid,
+    ),
+    caught(
+        LIGHT_LOOKUP,
+        "select(0.0, side.x * side.y * side.z, there.y > 0.0)",
+        "side.x * side.y * side.z",
+        light_grid::guides_see_the_grid,
+    ),
+    caught(
+        MARCH,
+        "gridded.y / max(gridded.x, 1e-20)",
+        "gridded.y",
+        light_grid::guides_see_the_grid,
+    ),
+    caught(
+        MARCH,
+        "walk.t_cell + dot(weights, depths) / here;",
+        "dot(weights, depths) / here;",
+        light_grid::guides_see_the_grid,
+    ),
     caught(
         PAPER,
         "let falloff = 0.5 /",
@@ -246,8 +359,8 @@ pub const MUTATIONS: &[Caught] = &[
     ),
     caught(
         MARCH,
-        "* reached * key.albedo",
-        "* key.albedo",
+        "min(scattered, 1e4) * reached",
+        "min(scattered, 1e4)",
         denoise_sun::shadows_stay_sharp,
     ),
     caught(

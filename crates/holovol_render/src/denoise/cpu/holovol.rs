@@ -84,7 +84,7 @@ impl Memory {
         top.lerp(value(0, 1).lerp(value(1, 1), weight.x), weight.y)
     }
 
-    /// Light per unit of what guides expect of the dominant source.
+    /// Light per unit of what guides expect.
     fn light_gain(&self, eye: usize, position: UVec2) -> Vec3 {
         if self.uniform.sun[3] > 0.0 {
             self.tile_at(eye, position, 2).truncate()
@@ -177,7 +177,8 @@ impl Memory {
             let factor = (self.uniform.edges[2] * turn).clamp(1.0, MOST_STRICT);
             let strictness = self.uniform.across[0] * factor;
             let last = self.image_before(eye, self.before());
-            let gain = self.eye(eye).history[3] * self.light_gain(eye, position);
+            let known = self.eye(eye).history[3] * self.uniform.light[2];
+            let gain = known * self.light_gain(eye, position);
             let bounds = [self.pixel_size(eye), strictness];
             before = self.fetch(turned, there, last, bounds, gain);
             before.frames /= 1.0 + TURN_LOSS * turn * turn * before.frames;
@@ -195,7 +196,7 @@ impl Memory {
         self.tiles[rows].fill(Vec4::ZERO);
         self.each_pixel(|m, eye, position, pixel| {
             let is_missed = m.keys[m.now() + pixel][0] & 0xffff == 0;
-            if is_missed && m.history(eye) != History::Same as u32 {
+            if is_missed && m.uniform.halves[3] != 0 {
                 m.guide_between(eye, position, pixel);
             }
         });
@@ -285,7 +286,7 @@ impl Memory {
         let (mut difference, mut old, mut memory) = (Vec4::ZERO, Vec4::ZERO, Vec4::ZERO);
         let mut own = Vec4::ZERO;
         let (mut slope, mut own_slope) = (Vec4::ZERO, Vec4::ZERO);
-        let slope_factor = memory_factor * (1.0 - self.eye(eye).history[2]);
+        let slope_factor = memory_factor * (1.0 - self.eye(eye).history[2]) * self.uniform.light[2];
         let mut variance = 0.0;
         for y in -1..2 {
             for x in -1..2 {

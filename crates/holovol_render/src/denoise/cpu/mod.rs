@@ -316,9 +316,11 @@ impl Memory {
             tiles += across * size.y.div_ceil(TILE);
         }
         uniform.counts = [2, pixels, tiles, 0];
-        uniform.halves = [0, u32::from(before != Before::Same), 1, 0];
+        let is_other = u32::from(before != Before::Same);
+        uniform.halves = [0, is_other, 1, is_other];
         settings.fill(&mut uniform, 1.0);
-        // One case without a dominant light.
+        // One case without a guide of light.
+        uniform.light[2] = 0.7;
         uniform.sun = [0.0, 1.0, 0.0, if light_change > 0.0 { 0.0 } else { 1.0 }];
         let (count, tile_count) = (pixels as usize, tiles as usize);
         let mut four = |low: f32, high: f32| {

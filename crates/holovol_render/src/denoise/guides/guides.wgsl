@@ -8,6 +8,9 @@
 #import holovol_render::walk::{walk_start, walk_majorant, load_occupied}
 #import holovol_render::surface::{Surface, scatter_eval}
 #import holovol_render::phase_function::PI
+#if LIGHT_GRID == 1
+#import holovol_render::light_grid::lookup::light_at
+#endif
 #import holovol_render::denoise::common::{
     denoise, lights, keys, Key, pack_key, half_now, albedo_at, mean_rgb, ALBEDO_FLOOR, LEAST_ALBEDO,
 }
@@ -39,6 +42,8 @@ const DARK: f32 = 3.0;
 const THIN: vec2<f32> = vec2<f32>(0.05, 0.012);
 const CELL_SIZE: f32 = #{CELL_SIZE}.0;
 const NEVER: f32 = 3e38;
+// Of what is seen, a step's share from which on it asks the light grid.
+const LEAST_LIT: f32 = 0.002;
 
 #if MESH_DEPTH == 1
 // Depths of the nearest and of the farthest opaque mesh among a pixel's samples, and the share of
@@ -134,7 +139,7 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
 #endif
     let texels_per_depth = max(length(texel), 1e-30);
     let range = walk.t_end - walk.t_cell;
-    let has_sun = denoise.sun.w > 0.0;
+    let has_sun = denoise.light.x > 0.0;
     let fine = max(select(STEP.x, STEP.y, has_sun) / texels_per_depth, range / MAX_STEPS);
     let inverse = 1.0 / select(texel, vec3<f32>(1e-30), abs(texel) < vec3<f32>(1e-30));
     let ahead = select(vec3<f32>(0.0), vec3<f32>(1.0), texel > vec3<f32>(0.0));
@@ -149,6 +154,11 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     var sum = 0.0;
     var sum2 = 0.0;
     var normal_depth = -1.0;
+#if LIGHT_GRID == 1
+    // Of the light grid: albedo of what it knows, and with its light.
+    var gridded = vec2<f32>(0.0);
+    let asks_grid = denoise.light.y > 0.0;
+#endif
     // Where light is asked for, and the field at the first place.
     var lit = vec4<f32>(-1.0);
     var lit_value = 0.0;
@@ -213,7 +223,16 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
 #endif
             let here = weights.x + weights.y + weights.z;
             opacity += here;
-            albedo += here * transfer_material(dot(weights, values) / max(here, 1e-30)).albedo;
+            let material_albedo = transfer_material(dot(weights, values) / max(here, 1e-30)).albedo;
+            albedo += here * material_albedo;
+#if LIGHT_GRID == 1
+            if asks_grid && here > LEAST_LIT {
+                let middle = walk.t_cell + dot(weights, depths) / here;
+                let found = light_at(origin + middle * texel, u32(denoise.light.w));
+                let known = select(0.0, here * mean_rgb(material_albedo), found.y > 0.0);
+                gridded += known * vec2<f32>(1.0, found.x);
+            }
+#endif
             sum += dot(weights, depths);
             sum2 += dot(weights, depths * depths);
             transmittance = behind.z;
@@ -291,8 +310,14 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
             surface.alpha = max(material.roughness * material.roughness, 1e-3);
 #endif
             let scattered = 4.0 * PI * scatter_eval(scene.field.z, surface, wo, wi);
-            key.light = min(scattered, 1e4) * reached * key.albedo / (key.albedo + ALBEDO_FLOOR);
+            key.light = denoise.light.x * min(scattered, 1e4) * reached;
         }
+#if LIGHT_GRID == 1
+        if asks_grid {
+            key.light += denoise.light.y * min(gridded.y / max(gridded.x, 1e-20), 1e4);
+        }
+#endif
+        key.light *= key.albedo / (key.albedo + ALBEDO_FLOOR);
     } else {
         opacity = 0.0;
         albedo = vec3<f32>(0.0);

@@ -29,7 +29,7 @@ const MOST_STRICT: f32 = 8.0;
 const TURN_LOSS: f32 = 20.0;
 // T from which, and from where fully, history counts by how well it fits.
 const EDIT: vec2<f32> = vec2<f32>(0.05, 0.5);
-// Pixels between two whose differences tell how bright the dominant source is, and what sums of
+// Pixels between two whose differences tell how bright the expected light is, and what sums of
 // squared expectations a tile needs to be believed by half.
 const PAIR: u32 = 2u;
 const SLOPE_PRIOR: f32 = 0.1;
@@ -98,7 +98,7 @@ fn fetch(
     return found;
 }
 
-// Light per unit of what guides expect of the dominant source, as samples around have shown.
+// Light per unit of what guides expect, as samples around have shown.
 fn light_gain(eye: u32, position: vec2<u32>) -> vec3<f32> {
     var gain = vec3<f32>(0.0);
     if denoise.sun.w > 0.0 {
@@ -145,8 +145,7 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     }
     var sums = array<vec4<f32>, 4>(vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0));
     let end = select(min(TILE * (row.x + 1u), size.x), 0u, row.y >= size.y);
-    // Guides of a view at rest are the last frame's.
-    if end > 0u && denoise.eyes[eye].frame.y != HISTORY_SAME {
+    if end > 0u && denoise.halves.w != 0u {
         let wanted = uncovered(eye, row, end);
         for (var x = TILE * row.x; x < end && wanted != 0u; x += 1u) {
             if (wanted >> (x - TILE * row.x) & 1u) != 0u {
@@ -190,8 +189,8 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     }
 }
 
-// Sums of least squares: what two pixels' samples differ (rgb) on what their guides expect of the
-// dominant source; every second pixel looks across, the others down.
+// Sums of least squares: what two pixels' samples differ (rgb) on what their guides expect; every
+// second pixel looks across, the others down.
 fn light_slope(eye: u32, position: vec2<u32>) -> vec4<f32> {
     let size = denoise.eyes[eye].image.xy;
     let is_across = ((position.x ^ position.y) & 1u) == 0u;
@@ -243,7 +242,8 @@ fn history_of(eye: u32, position: vec2<u32>, pixel: u32) -> Fetched {
             let turn = length(cross(direction_of(here.xyz), direction_of(was)));
             let strictness = denoise.across.x * clamp(denoise.edges.z * turn, 1.0, MOST_STRICT);
             // The tiles' last word on it; new ones come after this.
-            let gain = denoise.eyes[eye].history.w * light_gain(eye, position);
+            let known = denoise.eyes[eye].history.w * denoise.light.z;
+            let gain = known * light_gain(eye, position);
             before = fetch(turned, there, last, denoise.eyes[eye].turn_x.w, strictness, gain);
             before.frames /= 1.0 + TURN_LOSS * turn * turn * before.frames;
         }
@@ -291,7 +291,7 @@ fn judge(@builtin(global_invocation_id) invocation: vec3<u32>) {
     var slope = vec4<f32>(0.0);
     var own_slope = vec4<f32>(0.0);
     // Under another light what was is no measure.
-    let slope_factor = memory_factor * (1.0 - denoise.eyes[eye].history.z);
+    let slope_factor = memory_factor * (1.0 - denoise.eyes[eye].history.z) * denoise.light.z;
     for (var k = 0; k < 9; k += 1) {
         let offset = vec2<i32>(k % 3, k / 3) - 1;
         let at = clamp(place + offset, vec2<i32>(0), last);
@@ -414,7 +414,7 @@ fn stereo(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
 
 // What the last frame's filter found says where light changes though guides don't: shadows.
 // Guides are (frames, filtered light) of the history.
-// expected: what the dominant source explains of it.
+// expected: what the guide of light explains of it.
 fn light_distance(a: vec2<f32>, b: vec2<f32>, expected: f32, noise: f32) -> f32 {
     let difference = a.y - b.y - expected;
     let trust = min(0.5 * min(a.x, b.x), 1.0);
@@ -523,7 +523,7 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
                 let is_covered = ((words.x | words_there.x) & BETWEEN) == 0u;
                 let offset = vec2<f32>(vec2<i32>(x, y) - vec2<i32>(position));
                 let r2 = dot(offset, offset);
-                // What the dominant source explains of the difference.
+                // What the guide of light explains of the difference.
                 let explained = key.light - there.light;
                 let bias = select(COVERAGE_BIAS, 0.0, is_covered) + denoise.bias.x * r2
                     + guide_distance(key, there, pixel_size)
