@@ -44,8 +44,8 @@ impl Denoiser {
         Ok(self.read_keys()?.iter().map(depth).collect())
     }
 
-    /// The guides of both eyes: what the dominant light is expected to add, in units of its own, or
-    /// what the light grid knows, times albedo / (albedo + 0.5); also of pixels that have their guides from those around.
+    /// The guides of both eyes: what light is expected to be, but for a factor; also of pixels that
+    /// have their guides from those around.
     ///
     /// # Errors
     /// If the device is lost.
