@@ -15,6 +15,9 @@ pub(super) struct LightGuide {
     pub(super) made_of: [f32; 2],
 }
 
+/// Of what the grid keeps after a change: a dominant source's hard shadows move through its cells
+/// faster than other light.
+const KEPT_UNDER_A_SUN: f32 = 0.25;
 /// T from which on light in the grid is another than before.
 const OTHER_LIGHT: f32 = 0.5;
 
@@ -58,7 +61,10 @@ impl Denoiser {
         else {
             return Ok(());
         };
-        grid.record_settling(&self.gpu, encoder, kernel, fresh, kept_frames(change))?;
+        let before = self.before.as_ref();
+        let has_sun = before.is_some_and(|before| before.light.made_of[0] > 0.0);
+        let kept = if has_sun { KEPT_UNDER_A_SUN } else { 1.0 } * kept_frames(change);
+        grid.record_settling(&self.gpu, encoder, kernel, fresh, kept)?;
         if let Some(before) = &mut self.before {
             before.is_other_light = change >= OTHER_LIGHT;
         }
