@@ -155,7 +155,9 @@ impl Headset {
                 device,
                 is_in_use: true,
                 is_device_of_runtime: true,
+                has_refused_its_device: false,
                 link: Link::Found(self.runtime, None),
+                said: None,
                 has_ended: false,
             })),
         })
@@ -223,9 +225,21 @@ pub struct MixedRealitySettings {
     /// that; else the headset stays dark, and [`HeadsetStatus::problem`] says why. True by default.
     pub may_replace_device: bool,
     #[doc(hidden)]
-    pub refuses_device: bool,
+    pub refused_devices: RefusedDevices,
     /// Ends the app with the session, when that ends by the user's will; true by default.
     pub exits_app: bool,
+}
+
+/// Which of Bevy's graphics devices are treated as if the runtime refused them: for tests, on the one
+/// device that a machine may have.
+#[doc(hidden)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RefusedDevices {
+    #[default]
+    None,
+    /// All that were not opened for the runtime in use.
+    OfFormerRuntimes,
+    All,
 }
 
 impl Default for MixedRealitySettings {
@@ -255,7 +269,7 @@ impl Default for MixedRealitySettings {
             synthetic_sight: None,
             locks_to_world: true,
             may_replace_device: true,
-            refuses_device: false,
+            refused_devices: RefusedDevices::None,
             exits_app: true,
         }
     }
@@ -445,7 +459,8 @@ impl Plugin for MixedRealityPlugin {
                     pace::keep,
                 )
                     .chain(),
-            );
+            )
+            .add_systems(Last, session::listen);
         let Some(render_app) = app.get_sub_app_mut(RenderApp) else {
             return;
         };

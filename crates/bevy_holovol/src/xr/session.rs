@@ -20,7 +20,9 @@ use super::cost::FrameCost;
 use super::graphics::{DeviceParts, GraphicsApi};
 use super::pose::EyeView;
 use super::runtime::Runtime;
-use super::{HeadsetError, HeadsetRequest, HeadsetState, HeadsetStatus, MixedRealitySettings};
+use super::{
+    HeadsetError, HeadsetRequest, HeadsetState, HeadsetStatus, MixedRealitySettings, RefusedDevices,
+};
 use crate::interaction::Hands;
 use live::{End, Live};
 use shared::SharedSession;
@@ -62,7 +64,12 @@ pub(crate) struct Connection {
     pub(crate) is_in_use: bool,
     /// It was opened for the runtime in use; else for one that is gone.
     pub(crate) is_device_of_runtime: bool,
+    /// Even a device that was opened for a runtime was refused: no more are tried until a session
+    /// opens, or Bevy would begin anew every second.
+    pub(crate) has_refused_its_device: bool,
     pub(crate) link: Link,
+    /// Since the last session: what was wrong, so that it is said once.
+    pub(crate) said: Option<String>,
     /// After a stop that was wanted.
     pub(crate) has_ended: bool,
 }
@@ -109,20 +116,33 @@ impl Connection {
             return CurrentFrame::default();
         };
         if live.is_none() && !self.has_ended {
-            let opened = if around.settings.refuses_device && !self.is_device_of_runtime {
+            let is_refused = match around.settings.refused_devices {
+                RefusedDevices::None => false,
+                RefusedDevices::OfFormerRuntimes => !self.is_device_of_runtime,
+                RefusedDevices::All => true,
+            };
+            let opened = if is_refused {
                 Err(HeadsetError::OtherDevice)
             } else {
                 Live::open(runtime, &self.api, &self.device, around.settings, status)
             };
             match opened {
-                Ok(opened) => *live = Some(Box::new(opened)),
+                Ok(opened) => {
+                    *live = Some(Box::new(opened));
+                    self.has_refused_its_device = false;
+                    self.said = None;
+                }
                 Err(HeadsetError::OtherDevice)
-                    if around.settings.may_replace_device && !self.is_device_of_runtime =>
+                    if around.settings.may_replace_device
+                        && !self.is_device_of_runtime
+                        && !self.has_refused_its_device =>
                 {
                     self.open_device();
                     return CurrentFrame::default();
                 }
                 Err(error) => {
+                    self.has_refused_its_device |=
+                        self.is_device_of_runtime && matches!(error, HeadsetError::OtherDevice);
                     self.lose(error, status);
                     return CurrentFrame::default();
                 }
@@ -229,11 +249,13 @@ impl Connection {
     }
 
     fn lose(&mut self, error: HeadsetError, status: &mut HeadsetStatus) {
-        if status.state != HeadsetState::Lost || status.problem.is_none() {
-            warn!("{error}");
+        let problem = error.to_string();
+        if self.said.as_ref() != Some(&problem) {
+            warn!("{problem}");
+            self.said = Some(problem.clone());
         }
         status.state = HeadsetState::Lost;
-        status.problem = Some(error.to_string());
+        status.problem = Some(problem);
         self.link = Link::Gone(Instant::now() + RETRY_INTERVAL);
     }
 
@@ -264,6 +286,15 @@ impl Connection {
     }
 }
 
+/// `Last`, so that a handler that the app inserts in a frame is not asked about our change of device in
+/// that one.
+pub(crate) fn listen(mut successor: ResMut<Successor>, mut handler: ResMut<RenderErrorHandler>) {
+    // In most frames nothing has changed, and isn't marked so.
+    if Successor::is_bypassed(&handler) {
+        successor.listen(&mut handler);
+    }
+}
+
 /// `First`: everything between two frames, and the wait for the next.
 #[expect(
     clippy::too_many_arguments,
@@ -273,7 +304,6 @@ pub(crate) fn update(
     mut connection: ResMut<Connection>,
     device: Res<RenderDevice>,
     mut successor: ResMut<Successor>,
-    mut handler: ResMut<RenderErrorHandler>,
     settings: Res<MixedRealitySettings>,
     mut requests: MessageReader<HeadsetRequest>,
     mut status: ResMut<HeadsetStatus>,
@@ -285,7 +315,6 @@ pub(crate) fn update(
     let had_ended = status.state == HeadsetState::Ended;
     // The former frame's hold on a session ends here, so that a lost one can go.
     *frame = CurrentFrame::default();
-    successor.listen(&mut handler);
     let mut around = Surroundings {
         device,
         settings: &settings,

@@ -11,7 +11,7 @@ use bevy_holovol::VolumeStatistics;
 use bevy_holovol::prelude::*;
 use bevy_holovol::xr::{
     FieldOfView, FrameCost, HeadsetBlend, HeadsetRequest, HeadsetState, MixedRealitySettings,
-    RawView, TamperedViews, queue_submissions,
+    RawView, RefusedDevices, TamperedViews, queue_submissions,
 };
 
 use crate::SIMULATION;
@@ -34,6 +34,14 @@ pub const TESTS: &[crate::Test] = &[
     (
         "a_runtime_that_wants_another_device_gets_it",
         another_device,
+    ),
+    (
+        "a_runtime_that_refuses_its_own_device_gets_no_further_ones",
+        endless_refusal,
+    ),
+    (
+        "a_handler_inserted_in_every_frame_is_not_asked_about_our_change_of_device",
+        answered_by_the_app,
     ),
     (
         "a_lost_device_is_replaced_by_one_of_the_runtime",
@@ -198,7 +206,7 @@ fn wait_for_light(app: &mut App) {
 /// Monado has but one device; that of the former instance counts as another than it wants.
 fn another_device() {
     let mut app = with_volume(MixedRealitySettings {
-        refuses_device: true,
+        refused_devices: RefusedDevices::OfFormerRuntimes,
         ..settings()
     });
     spawn_mesh(&mut app);
@@ -233,6 +241,52 @@ fn another_device() {
         problem.is_some_and(|problem| problem.contains("another graphics device"))
     });
     assert_eq!(device_tick(&app), former);
+}
+
+/// It would answer that Bevy should open a device of its own, on which nobody waits.
+fn answered_by_the_app() {
+    let mut app = with_volume(MixedRealitySettings {
+        refused_devices: RefusedDevices::OfFormerRuntimes,
+        ..settings()
+    });
+    app.add_systems(Update, |mut commands: Commands| {
+        commands.insert_resource(RenderErrorHandler(|_, _, _| {
+            RenderErrorPolicy::Recover(default())
+        }));
+    });
+    show(&mut app);
+    kill(&mut app);
+    revive();
+    run_until(&mut app, "on another device", |app| {
+        status(app).device_changes == 1
+    });
+    show(&mut app);
+    assert_eq!(status(&app).problem, None);
+    assert_drawn(&mut app);
+    stop(&mut app);
+}
+
+/// Bevy begins anew once, not at every look for the runtime; later sessions open all the same.
+fn endless_refusal() {
+    let mut app = with_volume(settings());
+    show(&mut app);
+    let refuse = |app: &mut App, refused| {
+        let mut settings = app.world_mut().resource_mut::<MixedRealitySettings>();
+        settings.refused_devices = refused;
+    };
+    kill(&mut app);
+    refuse(&mut app, RefusedDevices::All);
+    revive();
+    run_until(&mut app, "refused for good", |app| {
+        status(app).reconnections >= 4
+    });
+    assert_eq!(status(&app).device_changes, 1);
+    refuse(&mut app, RefusedDevices::None);
+    show(&mut app);
+    assert_eq!(status(&app).problem, None);
+    assert_eq!(status(&app).device_changes, 1);
+    assert_drawn(&mut app);
+    stop(&mut app);
 }
 
 /// What Bevy then opens by itself isn't one that the runtime could use.

@@ -31,12 +31,17 @@ impl Default for Successor {
 }
 
 impl Successor {
+    /// Whether errors go to the app at once.
+    pub(super) fn is_bypassed(handler: &RenderErrorHandler) -> bool {
+        let ours: Handler = handle;
+        !std::ptr::fn_addr_eq(handler.0, ours)
+    }
+
     /// Hears of errors before the app does, which may change its mind at any time.
     pub(super) fn listen(&mut self, handler: &mut RenderErrorHandler) {
-        let ours: Handler = handle;
-        if !std::ptr::fn_addr_eq(handler.0, ours) {
+        if Self::is_bypassed(handler) {
             self.app_handler = handler.0;
-            handler.0 = ours;
+            handler.0 = handle;
         }
     }
 
