@@ -27,7 +27,8 @@ pub(crate) const NEAR: f32 = 0.03;
 pub struct EyeCamera(pub usize);
 
 /// Where tracking space stands in the world: moving it moves the user. Spawned by
-/// [`MixedRealityPlugin`](super::MixedRealityPlugin), parent of the eyes.
+/// [`MixedRealityPlugin`](super::MixedRealityPlugin), parent of the eyes. Without scale: hands and head
+/// keep their size.
 #[derive(Component, Clone, Copy, Debug, Default)]
 #[require(Transform, Visibility)]
 pub struct MixedRealityOrigin;
@@ -214,7 +215,7 @@ pub(crate) fn update(
         if is_new {
             *render_target = target(&eyes, eye.0);
         }
-        if has_new_blend {
+        if has_new_blend || settings.is_changed() {
             dress(
                 &mut commands.entity(entity),
                 &mut camera,

@@ -155,9 +155,9 @@ impl Headset {
                 device,
                 is_in_use: true,
                 is_device_of_runtime: true,
-                has_refused_its_device: false,
+                device_tries: 0,
+                is_found_again: false,
                 link: Link::Found(self.runtime, None),
-                said: None,
                 has_ended: false,
             })),
         })

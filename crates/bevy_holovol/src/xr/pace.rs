@@ -152,9 +152,15 @@ pub(crate) fn keep(
     mut pace: Local<(Pace, RatePace)>,
     mut last: Local<Option<i64>>,
     mut first_rate: Local<Option<f32>>,
+    mut session: Local<u32>,
     cost: Res<FrameCost>,
 ) {
     let _counting = cost.count();
+    if *session != status.sessions {
+        // It begins at the headset's own rate.
+        *session = status.sessions;
+        (pace.1, *first_rate) = (RatePace::default(), None);
+    }
     let (Some(timing), Some(range)) = (frame.timing, settings.volume_resolution) else {
         *last = None;
         return;

@@ -30,6 +30,8 @@ pub(crate) use successor::Successor;
 
 /// Between two looks for a runtime that is gone.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
+/// Devices opened for a runtime that shows nothing with them: Bevy begins anew with each.
+const MOST_DEVICE_TRIES: u8 = 3;
 /// A frame of an app whose headset wants none: keeps it from spinning.
 const IDLE_FRAME: Duration = Duration::from_millis(10);
 
@@ -64,12 +66,11 @@ pub(crate) struct Connection {
     pub(crate) is_in_use: bool,
     /// It was opened for the runtime in use; else for one that is gone.
     pub(crate) is_device_of_runtime: bool,
-    /// Even a device that was opened for a runtime was refused: no more are tried until a session
-    /// opens, or Bevy would begin anew every second.
-    pub(crate) has_refused_its_device: bool,
+    /// Opened since a frame was paced.
+    pub(crate) device_tries: u8,
+    /// After it was gone, and no session has opened since.
+    pub(crate) is_found_again: bool,
     pub(crate) link: Link,
-    /// Since the last session: what was wrong, so that it is said once.
-    pub(crate) said: Option<String>,
     /// After a stop that was wanted.
     pub(crate) has_ended: bool,
 }
@@ -106,7 +107,10 @@ impl Connection {
     ) -> CurrentFrame {
         for request in requests {
             match request {
-                HeadsetRequest::Start => self.has_ended = false,
+                HeadsetRequest::Start => {
+                    self.has_ended = false;
+                    self.device_tries = 0;
+                }
                 HeadsetRequest::Stop => self.stop(status),
             }
         }
@@ -129,20 +133,20 @@ impl Connection {
             match opened {
                 Ok(opened) => {
                     *live = Some(Box::new(opened));
-                    self.has_refused_its_device = false;
-                    self.said = None;
+                    if std::mem::take(&mut self.is_found_again) {
+                        info!("reconnected to {}", runtime.name);
+                        status.reconnections += 1;
+                    }
                 }
                 Err(HeadsetError::OtherDevice)
                     if around.settings.may_replace_device
                         && !self.is_device_of_runtime
-                        && !self.has_refused_its_device =>
+                        && self.device_tries < MOST_DEVICE_TRIES =>
                 {
                     self.open_device();
                     return CurrentFrame::default();
                 }
                 Err(error) => {
-                    self.has_refused_its_device |=
-                        self.is_device_of_runtime && matches!(error, HeadsetError::OtherDevice);
                     self.lose(error, status);
                     return CurrentFrame::default();
                 }
@@ -151,7 +155,12 @@ impl Connection {
         let end = match live {
             Some(live) => match live.poll(runtime, status) {
                 Ok(()) => match live.wait(status) {
-                    Ok(frame) => return frame,
+                    Ok(frame) => {
+                        if frame.timing.is_some() {
+                            self.device_tries = 0;
+                        }
+                        return frame;
+                    }
                     Err(end) => end,
                 },
                 Err(end) => end,
@@ -159,14 +168,10 @@ impl Connection {
             None => return CurrentFrame::default(),
         };
         match end {
-            End::Session { again } => {
+            End::Session => {
                 *live = None;
-                self.has_ended = !again;
-                status.state = if again {
-                    HeadsetState::Lost
-                } else {
-                    HeadsetState::Ended
-                };
+                self.has_ended = true;
+                status.state = HeadsetState::Ended;
             }
             End::Runtime(error) => self.lose(error, status),
         }
@@ -187,6 +192,7 @@ impl Connection {
             Link::Found(_, Some(live)) if live.is_begun => {
                 if let Err(result) = live.shared.session.request_exit() {
                     live.shared.fail("xrRequestExitSession", result);
+                    self.has_ended = true;
                 }
             }
             // Nothing runs that would have to agree.
@@ -207,6 +213,7 @@ impl Connection {
             let wanted = runtime.clone();
             let task = IoTaskPool::get().spawn(async move { GraphicsApi::open_device(&wanted) });
             self.link = Link::Opening(runtime, task);
+            self.device_tries = self.device_tries.saturating_add(1);
         }
     }
 
@@ -215,12 +222,19 @@ impl Connection {
         if around.device.is_changed() {
             self.is_in_use = self.api.is_of(around.device.wgpu_device());
         }
+        if self.has_ended
+            && let Link::Opening(runtime, _) = &self.link
+        {
+            self.link = Link::Found(runtime.clone(), None);
+        }
+        let may_replace =
+            around.settings.may_replace_device && self.device_tries < MOST_DEVICE_TRIES;
         match &mut self.link {
             // Bevy has lost the device and got another one, by the app's will.
             Link::Found(_, live) if !self.is_in_use && !self.has_ended => {
                 *live = None;
                 status.state = HeadsetState::Lost;
-                if around.settings.may_replace_device {
+                if may_replace {
                     self.open_device();
                 } else {
                     self.lose(HeadsetError::OtherDevice, status);
@@ -244,17 +258,25 @@ impl Connection {
                 self.is_device_of_runtime = true;
                 self.link = Link::Found(runtime.clone(), None);
             }
+            // Bevy has lost the one before it as well, and got another one by the app's will.
+            Link::HandingOver(_) if around.device.is_changed() => {
+                around.successor.take_away(&around.device);
+            }
             _ => {}
         }
     }
 
     fn lose(&mut self, error: HeadsetError, status: &mut HeadsetStatus) {
         let problem = error.to_string();
-        if self.said.as_ref() != Some(&problem) {
+        // Once, not at every look.
+        if status.problem.as_ref() != Some(&problem) {
             warn!("{problem}");
-            self.said = Some(problem.clone());
         }
-        status.state = HeadsetState::Lost;
+        status.state = if self.has_ended {
+            HeadsetState::Ended
+        } else {
+            HeadsetState::Lost
+        };
         status.problem = Some(problem);
         self.link = Link::Gone(Instant::now() + RETRY_INTERVAL);
     }
@@ -272,10 +294,8 @@ impl Connection {
             }
             Link::Looking(task) => match check_ready(task) {
                 Some(Ok(runtime)) => {
-                    info!("reconnected to {}", runtime.name);
-                    status.reconnections += 1;
                     self.is_device_of_runtime = false;
-                    status.problem = None;
+                    self.is_found_again = true;
                     self.link = Link::Found(runtime, None);
                 }
                 Some(Err(error)) => self.lose(error, status),
@@ -326,6 +346,7 @@ pub(crate) fn update(
         status.is_tracked = frame.views.is_some();
         status.has_gaze = frame.gaze.is_some();
     } else {
+        (status.is_tracked, status.has_gaze) = (false, false);
         std::thread::sleep(IDLE_FRAME);
     }
     if status.state == HeadsetState::Ended && !had_ended && settings.exits_app {

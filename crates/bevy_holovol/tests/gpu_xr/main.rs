@@ -11,6 +11,7 @@ mod pictures;
 mod sessions;
 mod sight;
 
+use std::process::ExitCode;
 use std::sync::Mutex;
 
 use bevy_holovol::xr::{SimulatedHeadset, SimulationError};
@@ -61,5 +62,21 @@ fn main() {
     });
     let conclusion = libtest_mimic::run(&args, trials.collect());
     drop(SIMULATION.lock().expect("no panic").take());
-    conclusion.exit();
+    leave(conclusion.exit_code());
+}
+
+/// Without what libraries do at a process's end: Bevy's workers may still be compiling, which Vulkan's
+/// validation layer does not survive.
+#[cfg(unix)]
+#[expect(unsafe_code, reason = "a call to the C library")]
+fn leave(code: ExitCode) -> ! {
+    unsafe extern "C" {
+        safe fn _exit(status: std::ffi::c_int) -> !;
+    }
+    _exit(i32::from(code != ExitCode::SUCCESS))
+}
+
+#[cfg(not(unix))]
+fn leave(code: ExitCode) -> ! {
+    std::process::exit(i32::from(code != ExitCode::SUCCESS))
 }

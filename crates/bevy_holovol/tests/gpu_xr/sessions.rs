@@ -266,7 +266,7 @@ fn answered_by_the_app() {
     stop(&mut app);
 }
 
-/// Bevy begins anew once, not at every look for the runtime; later sessions open all the same.
+/// Bevy begins anew a few times, not at every look for the runtime; later sessions open all the same.
 fn endless_refusal() {
     let mut app = with_volume(settings());
     show(&mut app);
@@ -278,13 +278,21 @@ fn endless_refusal() {
     refuse(&mut app, RefusedDevices::All);
     revive();
     run_until(&mut app, "refused for good", |app| {
-        status(app).reconnections >= 4
+        status(app).device_changes >= 3
     });
-    assert_eq!(status(&app).device_changes, 1);
+    // It is looked for every second.
+    let start = std::time::Instant::now();
+    while start.elapsed().as_secs() < 5 {
+        app.update();
+    }
+    let now = status(&app);
+    assert_eq!((now.device_changes, now.reconnections), (3, 0));
+    assert!(now.problem.is_some());
     refuse(&mut app, RefusedDevices::None);
     show(&mut app);
-    assert_eq!(status(&app).problem, None);
-    assert_eq!(status(&app).device_changes, 1);
+    let now = status(&app);
+    assert_eq!((now.device_changes, now.reconnections), (3, 1));
+    assert_eq!(now.problem, None);
     assert_drawn(&mut app);
     stop(&mut app);
 }
@@ -372,6 +380,9 @@ fn unusable_views() {
         tampered_views: Some(TamperedViews(spoil)),
         ..settings()
     });
+    // Neither what NaN becomes in 8 bits nor the volume.
+    let grey = 0.25;
+    app.insert_resource(ClearColor(Color::linear_rgb(grey, grey, grey)));
     show(&mut app);
     for _ in 0..60 {
         app.update();
@@ -383,11 +394,11 @@ fn unusable_views() {
         assert!(frame.views[eye].pose.rotation.is_normalized());
         assert!(frame.views[eye].fov.is_usable());
         let picture = linear(&frame, eye);
-        let bright = picture.iter().filter(|p| p[0] > 0.1).count();
-        assert!(bright > 100, "the volume is drawn");
-        // NaN would be black or white in 8 bits: the sides see none of the volume.
+        let seen = picture.iter().filter(|p| (p[0] - grey).abs() > 0.05);
+        assert!(seen.count() > 100, "the volume is drawn");
+        // The sides see none of it.
         let corner = picture[0];
-        assert_eq!(corner[..3], [0.0; 3]);
+        assert!((corner[0] - grey).abs() < 0.01, "{corner:?}");
     }
     let counters = app.world().resource::<VolumeStatistics>().get().counters;
     assert_eq!(counters.nonfinite_samples, 0);
@@ -414,7 +425,11 @@ fn overhead() {
     assert_eq!(ours, 0.0);
     assert!(driver < 200.0, "{driver}");
     let Some(nanoseconds) = cost.nanoseconds() else {
-        eprintln!("skipped: this system doesn't tell the CPU time of threads");
+        eprintln!("no bound on time: this system doesn't tell the CPU time of threads");
+        if cfg!(target_os = "linux") {
+            panic!("Linux does");
+        }
+        stop(&mut app);
         return;
     };
     let ms = 1e-6 * nanoseconds as f64 / f64::from(FRAMES);

@@ -6,6 +6,7 @@
 
 mod actions;
 mod hands;
+mod mirror;
 mod panel;
 mod picture;
 mod place;
@@ -67,6 +68,9 @@ pub(crate) fn run(args: &XrArgs) -> Result<(), Failure> {
     let exit = if has_window {
         let mut app = preview::app(&args.preview(), |plugins| headset.plugins(plugins));
         join(&mut app, args, wanted);
+        app.add_plugins(mirror::MirrorPlugin {
+            is_open: args.simulate,
+        });
         // The headset paces frames, not the window.
         app.insert_resource(WinitSettings::continuous())
             .add_systems(Startup, |mut windows: Query<&mut Window>| {

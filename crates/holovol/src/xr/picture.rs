@@ -3,11 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use bevy::prelude::*;
+use bevy::render::render_resource::TextureFormat;
 use bevy_holovol::VolumeStatistics;
 use bevy_holovol::prelude::LiveLight;
 use bevy_holovol::xr::{CapturedFrame, EyeCapture, HeadsetBlend, HeadsetRequest, HeadsetStatus};
 use image::{DynamicImage, RgbaImage};
 
+use crate::preview::Refused;
 use crate::preview::open::Opening;
 
 /// Pictures that are still to be taken.
@@ -39,6 +41,7 @@ pub(super) fn take(
     live: Option<Res<LiveLight>>,
     status: Res<HeadsetStatus>,
     capture: Res<EyeCapture>,
+    refused: Res<Refused>,
     mut requests: MessageWriter<HeadsetRequest>,
 ) {
     let Some(mut wanted) = wanted else {
@@ -66,7 +69,12 @@ pub(super) fn take(
                 println!("{}", path.display());
             }
         }
-        Err(error) => error!("{error}"),
+        // The program ends with it.
+        Err(error) => {
+            if let Ok(mut refused) = refused.0.lock() {
+                refused.get_or_insert(error);
+            }
+        }
     }
     commands.remove_resource::<Wanted>();
     requests.write(HeadsetRequest::Stop);
@@ -84,8 +92,14 @@ fn write(
         PathBuf::from(name)
     });
     for (path, pixels) in paths.iter_mut().zip(&frame.pixels) {
-        let picture = RgbaImage::from_raw(width, height, pixels.clone())
-            .ok_or_else(|| format!("{:?} makes no PNG", frame.format))?;
+        let mut pixels = pixels.clone();
+        match frame.format.remove_srgb_suffix() {
+            TextureFormat::Rgba8Unorm => {}
+            TextureFormat::Bgra8Unorm => pixels.chunks_exact_mut(4).for_each(|p| p.swap(0, 2)),
+            other => return Err(format!("{other:?} makes no PNG")),
+        }
+        let picture = RgbaImage::from_raw(width, height, pixels)
+            .ok_or_else(|| format!("{width} × {height} pixels make no PNG"))?;
         let picture = DynamicImage::from(picture);
         let picture = if blend == HeadsetBlend::Alpha {
             picture

@@ -28,15 +28,15 @@ pub(crate) struct Live {
     input: Input,
     pub(super) anchors: Anchors<RuntimeAnchor>,
     pub(super) is_begun: bool,
-    /// Dropped last: what keeps the session until all else of it is gone.
-    _session: Exclusive<Session<AnyGraphics>>,
+    /// Dropped last, here and in `shared`: what keeps the session until all else of it is gone.
+    _session: Arc<Exclusive<Session<AnyGraphics>>>,
 }
 
 /// What ends a session.
 pub(super) enum End {
-    /// The session alone, by the runtime's or the user's will.
-    Session { again: bool },
-    /// The connection to the runtime.
+    /// The session alone, by the user's will.
+    Session,
+    /// The connection to the runtime: all is looked for again, the headset too.
     Runtime(HeadsetError),
 }
 
@@ -53,9 +53,17 @@ impl Live {
         let wants_depth = settings.has_depth_layer && runtime.takes_depth;
         let opened = api.open_session(runtime, device, size, wants_depth)?;
         let offered = runtime.blend_modes()?;
-        let (blend, blend_mode) = HeadsetBlend::choose(&settings.blend_preference, &offered)
-            .ok_or(HeadsetError::NoBlendMode)?;
-        let blend = settings.simulated_blend.unwrap_or(blend);
+        let choose = |offered: &[_]| {
+            HeadsetBlend::choose(&settings.blend_preference, offered)
+                .ok_or(HeadsetError::NoBlendMode)
+        };
+        let (blend, blend_mode) = choose(&offered)?;
+        // As if it were the only one enumerated; the compositor is given one that it has.
+        let blend = match settings.simulated_blend {
+            Some(simulated) => choose(&[simulated.mode()])?.0,
+            None => blend,
+        };
+        let keeps = Arc::new(opened.keeps);
         let session = &opened.session;
         let spaces = session
             .enumerate_reference_spaces()
@@ -101,7 +109,7 @@ impl Live {
             input,
             anchors: Anchors::default(),
             is_begun: false,
-            _session: opened.keeps,
+            _session: Arc::clone(&keeps),
             shared: Arc::new(SharedSession {
                 session: opened.session,
                 space,
@@ -114,6 +122,7 @@ impl Live {
                 hidden: Mutex::new(hidden),
                 refresh_rates,
                 frames: Mutex::new(opened.frames),
+                _keeps: keeps,
             }),
         })
     }
@@ -186,6 +195,8 @@ impl Live {
                 session
                     .begin(STEREO)
                     .map_err(|result| End::of("xrBeginSession", result))?;
+                // Of a former run of it.
+                self.shared.is_waited.store(false, Ordering::Relaxed);
                 self.is_begun = true;
                 HeadsetState::Starting
             }
@@ -199,8 +210,10 @@ impl Live {
                     .map_err(|result| End::of("xrEndSession", result))?;
                 HeadsetState::Stopping
             }
-            SessionState::EXITING => return Err(End::Session { again: false }),
-            SessionState::LOSS_PENDING => return Err(End::Session { again: true }),
+            SessionState::EXITING => return Err(End::Session),
+            SessionState::LOSS_PENDING => {
+                return Err(End::of("xrPollEvent", sys::Result::ERROR_SESSION_LOST));
+            }
             _ => status.state,
         };
         Ok(())
@@ -263,9 +276,6 @@ impl CurrentFrame {
 
 impl End {
     fn of(call: &'static str, result: sys::Result) -> Self {
-        match result {
-            sys::Result::ERROR_SESSION_LOST => Self::Session { again: true },
-            _ => Self::Runtime(HeadsetError::Call { call, result }),
-        }
+        Self::Runtime(HeadsetError::Call { call, result })
     }
 }

@@ -1,12 +1,12 @@
 //! What both worlds have of a session, and where its eyes are.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use openxr::{AnyGraphics, EnvironmentBlendMode, Posef, Session, Space, Time, ViewStateFlags, sys};
 
 use super::super::HeadsetBlend;
-use super::super::graphics::Frames;
+use super::super::graphics::{Exclusive, Frames};
 use super::super::pose::{EyeHistory, EyeView, FieldOfView, RawView, TamperedViews};
 use super::super::runtime::STEREO;
 use super::super::sight::HiddenParts;
@@ -27,6 +27,8 @@ pub(crate) struct SharedSession {
     /// 1/s, ascending; empty where they can't be chosen.
     pub(crate) refresh_rates: Vec<f32>,
     pub(super) frames: Mutex<Box<dyn Frames>>,
+    /// Dropped last: the session ends while no one else is at the queue, whoever has this last.
+    pub(super) _keeps: Arc<Exclusive<Session<AnyGraphics>>>,
 }
 
 impl SharedSession {

@@ -48,6 +48,11 @@ impl Successor {
     /// Takes Bevy's device away. Between two frames only: within one Bevy doesn't expect it.
     pub(super) fn announce(&mut self, parts: DeviceParts, former: &RenderDevice) {
         self.coming = Some(parts);
+        self.take_away(former);
+    }
+
+    /// Takes one away that isn't the one to come.
+    pub(super) fn take_away(&self, former: &RenderDevice) {
         let former = former.wgpu_device();
         // What Bevy reads back doesn't expect it either. One that is lost already has nothing to
         // wait for.
