@@ -106,8 +106,8 @@ struct Key {
     spread: f32,
     // Frames that the estimate is worth.
     frames: f32,
-    // What light is expected to be, but for a factor: of the dominant source and of the light grid.
-    light: f32,
+    // What light is expected to be, but for factors: of the dominant source and of the light grid.
+    light: vec2<f32>,
 }
 
 // Of what was met; halves smaller than this lose digits.
@@ -124,15 +124,17 @@ fn is_met(words: vec4<u32>) -> bool {
     return (words.x & 0xffffu) != 0u;
 }
 
-// Octahedral: Cigolle et al. 2014.
+// Octahedral (Cigolle et al. 2014), 12 bits each above 8 that are left free.
 fn pack_normal(n: vec3<f32>) -> u32 {
     let p = n.xy / max(abs(n.x) + abs(n.y) + abs(n.z), 1e-20);
     let folded = (1.0 - abs(p.yx)) * select(vec2<f32>(-1.0), vec2<f32>(1.0), p >= vec2<f32>(0.0));
-    return pack2x16snorm(select(p, folded, n.z < 0.0));
+    let unit = clamp(select(p, folded, n.z < 0.0), vec2<f32>(-1.0), vec2<f32>(1.0));
+    let steps = vec2<u32>(round((unit + 1.0) * 2047.0));
+    return steps.x << 20u | steps.y << 8u;
 }
 
 fn unpack_normal(word: u32) -> vec3<f32> {
-    let p = unpack2x16snorm(word);
+    let p = vec2<f32>(f32(word >> 20u), f32((word >> 8u) & 0xfffu)) / 2047.0 - 1.0;
     let z = 1.0 - abs(p.x) - abs(p.y);
     let t = max(-z, 0.0);
     let xy = p + select(vec2<f32>(t), vec2<f32>(-t), p >= vec2<f32>(0.0));
@@ -142,9 +144,10 @@ fn unpack_normal(word: u32) -> vec3<f32> {
 
 fn pack_key(key: Key) -> vec4<u32> {
     let relative_spread = min(key.spread / max(key.depth, 1e-30), 60000.0);
+    let light = key.light.x + key.light.y;
     return vec4<u32>(
-        pack2x16float(vec2<f32>(key.albedo, key.light)),
-        pack_normal(key.normal),
+        pack2x16float(vec2<f32>(key.albedo, light)),
+        pack_normal(key.normal) | u32(round(255.0 * key.light.x / max(light, 1e-20))),
         bitcast<u32>(key.depth),
         pack2x16float(vec2<f32>(relative_spread, min(key.frames, 60000.0))),
     );
@@ -154,7 +157,19 @@ fn unpack_key(words: vec4<u32>) -> Key {
     let first = unpack2x16float(words.x);
     let pair = unpack2x16float(words.w);
     let depth = bitcast<f32>(words.z);
-    return Key(first.x, unpack_normal(words.y), depth, depth * pair.x, pair.y, abs(first.y));
+    return Key(first.x, unpack_normal(words.y), depth, depth * pair.x, pair.y, light_parts(words));
+}
+
+// Of the dominant source and of the light grid.
+fn light_parts(words: vec4<u32>) -> vec2<f32> {
+    let light = abs(unpack2x16float(words.x).y);
+    let part = f32(words.y & 0xffu) / 255.0;
+    return light * vec2<f32>(part, 1.0 - part);
+}
+
+// Of both parts together, share of it being the second's factor: 0.5 counts them alike.
+fn expected_light(light: vec2<f32>, share: f32) -> f32 {
+    return 2.0 * mix(light.x, light.y, share);
 }
 
 fn with_frames(words: vec4<u32>, frames: f32) -> vec4<u32> {
@@ -207,11 +222,11 @@ fn tile_at(eye: u32, position: vec2<u32>, part: u32) -> vec4<f32> {
     return mix(mix(v00, v10, weight.x), mix(v01, v11, weight.x), weight.y);
 }
 
-// Tiles: four vectors of sums, two of memory by halves, three of results; then of their rows.
+// Tiles: six vectors of sums, four of memory by halves, three of results; then of their rows.
 fn tile_sums(part: u32) -> u32 { return part * denoise.counts.z; }
 fn tile_memory(now: bool, part: u32) -> u32 {
     let half = select(1u - denoise.halves.z, denoise.halves.z, now);
-    return (4u + 2u * part + half) * denoise.counts.z;
+    return (6u + 2u * part + half) * denoise.counts.z;
 }
-fn tile_result(part: u32) -> u32 { return (8u + part) * denoise.counts.z; }
-fn tile_rows(part: u32) -> u32 { return (11u + TILE * part) * denoise.counts.z; }
+fn tile_result(part: u32) -> u32 { return (14u + part) * denoise.counts.z; }
+fn tile_rows(part: u32) -> u32 { return (17u + TILE * part) * denoise.counts.z; }

@@ -54,7 +54,7 @@ const STATE: u64 = 2;
 const LIGHTS: u64 = 3;
 const KEYS: u64 = 3;
 const COUNTS: u64 = 3;
-const TILES: u64 = 11 + 4 * TILE as u64;
+const TILES: u64 = 17 + 6 * TILE as u64;
 /// A change of light T leaves at most this · (1 − T)/T frames: 0.21 frames of 0.85. More would be
 /// seen as a ghost.
 const KEPT_FRAMES: f32 = 1.2;

@@ -1,6 +1,6 @@
 //! Twin of between.wgsl.
 
-use glam::{IVec2, UVec2, Vec3, Vec4};
+use glam::{IVec2, UVec2, Vec2, Vec3, Vec4};
 
 use super::{ALBEDO_FLOOR, BETWEEN, Key, Memory, is_marched};
 
@@ -12,7 +12,8 @@ impl Memory {
         let middle = position.as_ivec2();
         let low = (middle - 1).max(IVec2::ZERO);
         let high = (middle + 1).min(self.size(eye).as_ivec2() - 1);
-        let (mut albedo, mut normal, mut sums) = (Vec4::ZERO, Vec3::ZERO, Vec4::ZERO);
+        let (mut albedo, mut normal, mut sums) = (Vec4::ZERO, Vec3::ZERO, Vec3::ZERO);
+        let mut sum_of_light = Vec2::ZERO;
         let mut nearest = 0.0;
         for y in low.y..=high.y {
             for x in low.x..=high.x {
@@ -32,7 +33,8 @@ impl Memory {
                 albedo += share * self.albedo(at).extend(self.opacity(at));
                 normal += w * there.normal;
                 let square = behind * behind + there.spread * there.spread;
-                sums += Vec4::new(w, w * behind, w * square, share * light);
+                sums += Vec3::new(w, w * behind, w * square);
+                sum_of_light += share * light;
             }
         }
         if sums.x == 0.0 {
@@ -45,7 +47,7 @@ impl Memory {
             depth: nearest + mean,
             spread: (sums.z / sums.x - mean * mean).max(0.0).sqrt(),
             frames: 0.0,
-            light: sums.w / (sums.x.max(LEAST_ALBEDO) + ALBEDO_FLOOR),
+            light: sum_of_light / (sums.x.max(LEAST_ALBEDO) + ALBEDO_FLOOR),
         };
         let [first, rest @ ..] = key.pack();
         let [normal, depth, frames] = rest;

@@ -21,6 +21,7 @@ const TURN_LOSS: f32 = 20.0;
 const EDIT: [f32; 2] = [0.05, 0.5];
 const PAIR: u32 = 2;
 const SLOPE_PRIOR: f32 = 0.1;
+const SHARE_PRIOR: f32 = 0.03;
 const COVERAGE_BIAS: f32 = 0.7;
 
 #[derive(Clone, Copy, Default)]
@@ -34,6 +35,11 @@ struct Fetched {
 /// Light that is not negative, with any opacity.
 fn not_negative(light: Vec4) -> Vec4 {
     light.truncate().max(Vec3::ZERO).extend(light.w)
+}
+
+/// Both parts together, `share` being the second's.
+fn expected_light(light: Vec2, share: f32) -> f32 {
+    2.0 * (light.x + (light.y - light.x) * share)
 }
 
 impl Memory {
@@ -51,15 +57,15 @@ impl Memory {
 
     fn tile_memory(&self, now: bool, part: usize) -> usize {
         let half = self.uniform.halves[2] as usize;
-        (4 + 2 * part + if now { half } else { 1 - half }) * self.tile_count()
+        (6 + 2 * part + if now { half } else { 1 - half }) * self.tile_count()
     }
 
     fn tile_result(&self, part: usize) -> usize {
-        (8 + part) * self.tile_count()
+        (14 + part) * self.tile_count()
     }
 
     fn tile_rows(&self, part: usize) -> usize {
-        (11 + TILE as usize * part) * self.tile_count()
+        (17 + TILE as usize * part) * self.tile_count()
     }
 
     /// Tiles across and down.
@@ -84,12 +90,12 @@ impl Memory {
         top.lerp(value(0, 1).lerp(value(1, 1), weight.x), weight.y)
     }
 
-    /// Light per unit of what guides expect.
-    fn light_gain(&self, eye: usize, position: UVec2) -> Vec3 {
+    /// Light per unit of what guides expect, and the grid's share of that.
+    fn light_gain(&self, eye: usize, position: UVec2) -> Vec4 {
         if self.uniform.sun[3] > 0.0 {
-            self.tile_at(eye, position, 2).truncate()
+            self.tile_at(eye, position, 2)
         } else {
-            Vec3::ZERO
+            Vec4::ZERO
         }
     }
 
@@ -100,7 +106,7 @@ impl Memory {
         place: Vec3,
         image: [usize; 3],
         [pixel_size, strictness]: [f32; 2],
-        gain: Vec3,
+        gain: Vec4,
     ) -> Fetched {
         let [width, height, first] = image;
         let size = Vec2::new(width as f32, height as f32);
@@ -129,7 +135,7 @@ impl Memory {
             let w =
                 side(offset.x, weight.x) * side(offset.y, weight.y) / (1.0 + strictness * distance);
             total += w;
-            let change = gain * (key.light - there.light);
+            let change = gain.truncate() * expected_light(key.light - there.light, gain.w);
             found.light += w * (self.state[pixel] + change.extend(0.0));
             found.frames += w * self.counts[pixel].x;
             found.filtered += w * (self.counts[pixel].y + mean_rgb(change));
@@ -178,7 +184,7 @@ impl Memory {
             let strictness = self.uniform.across[0] * factor;
             let last = self.image_before(eye, self.before());
             let known = self.eye(eye).history[3] * self.uniform.light[2];
-            let gain = known * self.light_gain(eye, position);
+            let gain = self.light_gain(eye, position) * Vec3::splat(known).extend(1.0);
             let bounds = [self.pixel_size(eye), strictness];
             before = self.fetch(turned, there, last, bounds, gain);
             before.frames /= 1.0 + TURN_LOSS * turn * turn * before.frames;
@@ -192,7 +198,7 @@ impl Memory {
     }
 
     pub(super) fn reproject(&mut self) {
-        let rows = self.tile_rows(0)..self.tile_rows(4);
+        let rows = self.tile_rows(0)..self.tile_rows(6);
         self.tiles[rows].fill(Vec4::ZERO);
         self.each_pixel(|m, eye, position, pixel| {
             let is_missed = m.keys[m.now() + pixel][0] & 0xffff == 0;
@@ -208,9 +214,10 @@ impl Memory {
             let scale = m.albedo(pixel) + ALBEDO_FLOOR;
             let is_met = m.key(m.now() + pixel).albedo > 0.0;
             let row = TILE as usize * m.tile(eye, position / TILE) + (position.y % TILE) as usize;
-            let at = m.tile_rows(3) + row;
-            let slope = m.light_slope(eye, position);
-            m.tiles[at] += slope;
+            for (part, sum) in m.light_slope(eye, position).into_iter().enumerate() {
+                let at = m.tile_rows(3 + part) + row;
+                m.tiles[at] += sum;
+            }
             let Some(light) = m.new_light(eye, pixel) else {
                 return;
             };
@@ -236,29 +243,34 @@ impl Memory {
         });
     }
 
-    /// Sums of least squares between two pixels, for the light's gain.
-    fn light_slope(&self, eye: usize, position: UVec2) -> Vec4 {
+    /// Sums of least squares between two pixels: of the dominant source, of the grid, of both.
+    fn light_slope(&self, eye: usize, position: UVec2) -> [Vec4; 3] {
         let is_across = (position.x ^ position.y) & 1 == 0;
         let offset = if is_across { [PAIR, 0] } else { [0, PAIR] };
         let there = position + UVec2::from(offset);
         if there.cmpge(self.size(eye)).any() || self.uniform.sun[3] <= 0.0 {
-            return Vec4::ZERO;
+            return [Vec4::ZERO; 3];
         }
         let [a, b] = [position, there].map(|at| self.pixel(eye, at.x, at.y));
         let [key_a, key_b] = [a, b].map(|pixel| self.key(self.now() + pixel));
         let expected = key_a.light - key_b.light;
         let are_marched = [a, b].map(|pixel| is_marched(self.keys[self.now() + pixel]));
         if are_marched != [true; 2] {
-            return Vec4::ZERO;
+            return [Vec4::ZERO; 3];
         }
         match [a, b].map(|pixel| self.new_light(eye, pixel)) {
-            [Some(a), Some(b)] => expected * (a - b).truncate().extend(expected),
-            _ => Vec4::ZERO,
+            [Some(a), Some(b)] => {
+                let seen = (a - b).truncate();
+                let of = |expected: f32| expected * seen.extend(expected);
+                let both = Vec4::X * expected.x * expected.y;
+                [of(expected.x), of(expected.y), both]
+            }
+            _ => [Vec4::ZERO; 3],
         }
     }
 
     pub(super) fn add_rows(&mut self) {
-        for part in 0..4 {
+        for part in 0..6 {
             for tile in 0..self.tile_count() {
                 let rows = self.tile_rows(part) + TILE as usize * tile;
                 let sum = self.tiles[rows..rows + TILE as usize].iter().sum();
@@ -285,7 +297,7 @@ impl Memory {
         let last = self.grid(eye).as_ivec2() - 1;
         let (mut difference, mut old, mut memory) = (Vec4::ZERO, Vec4::ZERO, Vec4::ZERO);
         let mut own = Vec4::ZERO;
-        let (mut slope, mut own_slope) = (Vec4::ZERO, Vec4::ZERO);
+        let (mut slope, mut own_slope) = ([Vec4::ZERO; 3], [Vec4::ZERO; 3]);
         let slope_factor = memory_factor * (1.0 - self.eye(eye).history[2]) * self.uniform.light[2];
         let mut variance = 0.0;
         for y in -1..2 {
@@ -298,13 +310,18 @@ impl Memory {
                 variance += w * w * sums.w;
                 old += w * self.tiles[self.tile_sums(1) + tile];
                 let mut remembered = self.tiles[self.tile_sums(2) + tile];
-                let mut expected = self.tiles[self.tile_sums(3) + tile];
+                let mut expected = [3, 4, 5].map(|part| self.tiles[self.tile_sums(part) + tile]);
                 if self.history(eye) != History::None as u32 {
                     remembered += memory_factor * self.tiles[self.tile_memory(false, 0) + tile];
-                    expected += slope_factor * self.tiles[self.tile_memory(false, 1) + tile];
+                    for (part, sum) in expected.iter_mut().enumerate() {
+                        let before = self.tiles[self.tile_memory(false, 1 + part) + tile];
+                        *sum += slope_factor * before;
+                    }
                 }
                 memory += w * remembered;
-                slope += w * expected;
+                for (sum, expected) in slope.iter_mut().zip(expected) {
+                    *sum += w * expected;
+                }
                 if (x, y) == (0, 0) {
                     own = remembered;
                     own_slope = expected;
@@ -330,15 +347,22 @@ impl Memory {
         } else {
             self.uniform.across[3]
         };
-        let mut gain = slope.truncate().max(Vec3::ZERO) / (slope.w + SLOPE_PRIOR);
+        let share = self.grid_share(slope);
+        let (a, b) = (2.0 * (1.0 - share), 2.0 * share);
+        let [of_source, of_grid, both] = slope;
+        let squares = a * a * of_source.w + 2.0 * a * b * both.x + b * b * of_grid.w;
+        let light = (a * of_source + b * of_grid).truncate().max(Vec3::ZERO);
+        let mut gain = (light / (squares + SLOPE_PRIOR)).extend(share);
         if self.uniform.sun[3] <= 0.0 {
-            gain = Vec3::ZERO;
+            gain = Vec4::ZERO;
         }
         let tile = self.tile(eye, place);
         let results = [
             (self.tile_memory(true, 0), own),
-            (self.tile_memory(true, 1), own_slope),
-            (self.tile_result(2), gain.extend(0.0)),
+            (self.tile_memory(true, 1), own_slope[0]),
+            (self.tile_memory(true, 2), own_slope[1]),
+            (self.tile_memory(true, 3), own_slope[2]),
+            (self.tile_result(2), gain),
             (self.tile_result(0), correction.extend(shortening)),
             (
                 self.tile_result(1),
@@ -347,6 +371,27 @@ impl Memory {
         ];
         for (first, value) in results {
             self.tiles[first + tile] = value;
+        }
+    }
+
+    /// Of the expected light, by least squares.
+    fn grid_share(&self, [of_source, of_grid, both]: [Vec4; 3]) -> f32 {
+        let [source, grid, ..] = self.uniform.light;
+        if source == 0.0 || grid == 0.0 {
+            return 0.5;
+        }
+        let together = of_source.w + 2.0 * both.x + of_grid.w + SLOPE_PRIOR;
+        let mixed = both.x + of_grid.w;
+        let grid = of_grid.w + SHARE_PRIOR;
+        let u = mean_rgb((of_source + of_grid).truncate());
+        let v = mean_rgb(of_grid.truncate());
+        let gain = grid * u - mixed * v;
+        let more = together * v - mixed * u;
+        let [source, grid] = [gain, gain + more].map(|factor| factor.max(0.0));
+        if source + grid > 1e-20 {
+            grid / (source + grid)
+        } else {
+            0.5
         }
     }
 
@@ -415,7 +460,8 @@ impl Memory {
             return Vec4::ZERO;
         }
         let noise = self.tile_at(eye, position, 1).y;
-        let gain = mean_rgb(self.light_gain(eye, position));
+        let gains = self.light_gain(eye, position);
+        let gain = mean_rgb(gains.truncate());
         let middle = position.as_ivec2();
         let low = (middle - 1).max(IVec2::ZERO);
         let high = (middle + 1).min(self.size(eye).as_ivec2() - 1);
@@ -428,7 +474,7 @@ impl Memory {
                 let fits = 1.0 / (1.0 + bias * there.frames / noise);
                 let w = fits * fits * there.frames;
                 let all = mean_rgb(self.state[self.scratch(at)].truncate())
-                    + gain * (key.light - there.light);
+                    + gain * expected_light(key.light - there.light, gains.w);
                 let light = all.clamp(-BRIGHTEST, BRIGHTEST);
                 sums += w * Vec2::new(1.0, light);
                 squares += w * w * Vec3::new(1.0, light, light * light);
@@ -495,7 +541,7 @@ impl Memory {
                 let at = self.pixel(eye, x as u32, y as u32);
                 let there = self.key(self.both(at));
                 let offset = (IVec2::new(x, y) - middle).as_vec2();
-                let change = gain * (key.light - there.light);
+                let change = gain.truncate() * expected_light(key.light - there.light, gain.w);
                 let explained = mean_rgb(change);
                 let is_between = |at: usize| self.keys[self.both(at)][0] & BETWEEN != 0;
                 let coverage = if is_between(pixel) || is_between(at) {

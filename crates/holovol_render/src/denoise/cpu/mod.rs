@@ -56,7 +56,7 @@ struct Key {
     depth: f32,
     spread: f32,
     frames: f32,
-    light: f32,
+    light: Vec2,
 }
 
 fn half_pair(word: u32) -> [f32; 2] {
@@ -68,25 +68,18 @@ fn half_word(low: f32, high: f32) -> u32 {
     low | high << 16
 }
 
-fn snorm_pair(word: u32) -> Vec2 {
-    let of = |bits: u16| (f32::from(bits as i16) / 32767.0).max(-1.0);
-    Vec2::new(of(word as u16), of((word >> 16) as u16))
-}
-
-fn snorm_word(v: Vec2) -> u32 {
-    let of = |x: f32| u32::from((x.clamp(-1.0, 1.0) * 32767.0).round() as i16 as u16);
-    of(v.x) | of(v.y) << 16
-}
-
 fn pack_normal(n: Vec3) -> u32 {
     let p = n.truncate() / (n.x.abs() + n.y.abs() + n.z.abs()).max(1e-20);
     let side = |x: f32| if x >= 0.0 { 1.0 } else { -1.0 };
     let folded = Vec2::new((1.0 - p.y.abs()) * side(p.x), (1.0 - p.x.abs()) * side(p.y));
-    snorm_word(if n.z < 0.0 { folded } else { p })
+    let p = if n.z < 0.0 { folded } else { p };
+    let steps = |x: f32| ((x.clamp(-1.0, 1.0) + 1.0) * 2047.0).round() as u32;
+    steps(p.x) << 20 | steps(p.y) << 8
 }
 
 fn unpack_normal(word: u32) -> Vec3 {
-    let p = snorm_pair(word);
+    let of = |steps: u32| steps as f32 / 2047.0 - 1.0;
+    let p = Vec2::new(of(word >> 20), of(word >> 8 & 0xfff));
     let z = 1.0 - p.x.abs() - p.y.abs();
     let t = (-z).max(0.0);
     let unfold = |x: f32| x + if x >= 0.0 { -t } else { t };
@@ -97,9 +90,11 @@ fn unpack_normal(word: u32) -> Vec3 {
 impl Key {
     fn pack(self) -> [u32; 4] {
         let spread = self.spread / self.depth.max(1e-30);
+        let light = self.light.element_sum();
+        let part = self.light.x.abs() / light.abs().max(1e-20);
         [
-            half_word(self.albedo, self.light),
-            pack_normal(self.normal),
+            half_word(self.albedo, light),
+            pack_normal(self.normal) | (255.0 * part).round() as u32,
             self.depth.to_bits(),
             half_word(spread, self.frames),
         ]
@@ -109,9 +104,10 @@ impl Key {
         let [albedo, light] = half_pair(words[0]);
         let [spread, frames] = half_pair(words[3]);
         let depth = f32::from_bits(words[2]);
+        let part = (words[1] & 0xff) as f32 / 255.0;
         Self {
             albedo,
-            light: light.abs(),
+            light: light.abs() * Vec2::new(part, 1.0 - part),
             normal: unpack_normal(words[1]),
             depth,
             spread: depth * spread,
@@ -320,7 +316,7 @@ impl Memory {
         uniform.halves = [0, is_other, 1, is_other];
         settings.fill(&mut uniform, 1.0);
         // One case without a guide of light.
-        uniform.light[2] = 0.7;
+        uniform.light = [1.0, 1.0, 0.7, 0.0];
         uniform.sun = [0.0, 1.0, 0.0, if light_change > 0.0 { 0.0 } else { 1.0 }];
         let (count, tile_count) = (pixels as usize, tiles as usize);
         let mut four = |low: f32, high: f32| {
@@ -341,7 +337,7 @@ impl Memory {
                     -0.3
                 } else {
                     0.5 + 0.5 * normal.z
-                },
+                } * Vec2::new(0.5 + 0.5 * normal.y, 0.5 - 0.5 * normal.y),
             }
             .pack()
         };
@@ -494,8 +490,15 @@ impl Memory {
             let key = Key::unpack(*words);
             let is_between = f32::from(words[0] & BETWEEN != 0);
             let Vec3 { x, y, z } = key.normal;
-            let rest = [key.frames, key.light, is_between];
-            [[key.albedo, key.depth, key.spread], [x, y, z], rest].concat()
+            let light = key.light.element_sum();
+            let part = key.light.x / light.max(1e-20);
+            let rest = [key.frames, light, is_between];
+            // Of 12 and of 8 bits, one of which may differ.
+            let coarse = [0.05 * x, 0.05 * y, 0.05 * z, 0.02 * part];
+            [[key.albedo, key.depth, key.spread], rest]
+                .concat()
+                .into_iter()
+                .chain(coarse)
         };
         self.keys.iter().flat_map(of).collect()
     }

@@ -262,7 +262,7 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         t += dt;
     }
     let pixel = denoise.eyes[eye].image.w + position.x + size.x * position.y;
-    var key = Key(0.0, vec3<f32>(0.0, 0.0, 1.0), 0.0, 0.0, 0.0, 0.0);
+    var key = Key(0.0, vec3<f32>(0.0, 0.0, 1.0), 0.0, 0.0, 0.0, vec2<f32>(0.0));
     if opacity > 1e-4 {
         let mean = sum / opacity;
         let variance = max(sum2 / opacity - mean * mean, 0.0);
@@ -310,11 +310,11 @@ fn march(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
             surface.alpha = max(material.roughness * material.roughness, 1e-3);
 #endif
             let scattered = 4.0 * PI * scatter_eval(scene.field.z, surface, wo, wi);
-            key.light = denoise.light.x * min(scattered, 1e4) * reached;
+            key.light.x = denoise.light.x * min(scattered, 1e4) * reached;
         }
 #if LIGHT_GRID == 1
         if asks_grid {
-            key.light += denoise.light.y * min(gridded.y / max(gridded.x, 1e-20), 1e4);
+            key.light.y = denoise.light.y * min(gridded.y / max(gridded.x, 1e-20), 1e4);
         }
 #endif
         key.light *= key.albedo / (key.albedo + ALBEDO_FLOOR);

@@ -36,6 +36,7 @@ fn guide_between(eye: u32, position: vec2<u32>) {
     // Weights, with depth behind the first, with its square; light before its share of albedo.
     var sums = vec4<f32>(0.0);
     var nearest = 0.0;
+    var sum_of_light = vec2<f32>(0.0);
     for (var y = low.y; y <= high.y; y += 1) {
         for (var x = low.x; x <= high.x; x += 1) {
             let at = first + u32(x) + size.x * u32(y);
@@ -51,15 +52,16 @@ fn guide_between(eye: u32, position: vec2<u32>) {
                 albedo += share * lights[albedo_at(at)];
                 normal += w * there.normal;
                 sums += vec4<f32>(
-                    w, w * behind, w * (behind * behind + there.spread * there.spread), share * light,
+                    w, w * behind, w * (behind * behind + there.spread * there.spread), 0.0,
                 );
+                sum_of_light += share * light;
             }
         }
     }
     let mean = sums.y / max(sums.x, 1e-20);
-    var key = Key(max(sums.x, LEAST_ALBEDO), direction_of(normal), nearest + mean, 0.0, 0.0, 0.0);
+    var key = Key(max(sums.x, LEAST_ALBEDO), direction_of(normal), nearest + mean, 0.0, 0.0, vec2<f32>(0.0));
     key.spread = sqrt(max(sums.z / max(sums.x, 1e-20) - mean * mean, 0.0));
-    key.light = sums.w / (key.albedo + ALBEDO_FLOOR);
+    key.light = sum_of_light / (key.albedo + ALBEDO_FLOOR);
     let words = pack_key(key);
     keys[half_now() + first + position.x + size.x * position.y] =
         vec4<u32>(words.x | BETWEEN, words.yzw);

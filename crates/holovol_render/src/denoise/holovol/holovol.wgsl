@@ -3,8 +3,9 @@
 #import holovol_render::denoise::common::{
     denoise, state, lights, keys, counts, tiles, noisy, output, Key, unpack_key, with_frames, is_met,
     guide_distance, half_now, half_before, albedo_at, scratch_at, near_at, both_at, tile_at, tile_sums,
-    tile_memory, tile_result, tile_rows, mean_rgb, all_finite, is_marched, direction_of, HISTORY_MOVED,
-    HISTORY_SAME, HISTORY_NONE, ALBEDO_FLOOR, LARGEST, TILE, SAMPLES_PER_FRAME, BETWEEN,
+    tile_memory, tile_result, tile_rows, light_parts, expected_light, mean_rgb, all_finite, is_marched,
+    direction_of, HISTORY_MOVED, HISTORY_SAME, HISTORY_NONE, ALBEDO_FLOOR, LARGEST, TILE,
+    SAMPLES_PER_FRAME, BETWEEN,
 }
 #import holovol_render::denoise::between::{uncovered, guide_between}
 
@@ -33,6 +34,8 @@ const EDIT: vec2<f32> = vec2<f32>(0.05, 0.5);
 // squared expectations a tile needs to be believed by half.
 const PAIR: u32 = 2u;
 const SLOPE_PRIOR: f32 = 0.1;
+// Likewise of squared expectations of the grid's light, to have a share of its own.
+const SHARE_PRIOR: f32 = 0.03;
 // Squared and relative, of pixels whose middle the medium misses: it covers anything from nothing to
 // half of them, a relative variance of a third for each of two.
 const COVERAGE_BIAS: f32 = 0.7;
@@ -56,7 +59,7 @@ fn pixel_of(group: vec3<u32>, local: u32) -> vec2<u32> {
 // Bilinear over four pixels whose guides fit; their weight is that of the history. image: pixels
 // across and down, and where the first one is in keys, state and counts. gain: see light_gain.
 fn fetch(
-    key: Key, position: vec3<f32>, image: vec3<u32>, pixel_size: f32, strictness: f32, gain: vec3<f32>,
+    key: Key, position: vec3<f32>, image: vec3<u32>, pixel_size: f32, strictness: f32, gain: vec4<f32>,
 ) -> Fetched {
     var found = Fetched(vec4<f32>(0.0), 0.0, 0.0, 0.0);
     let size = vec2<i32>(image.xy);
@@ -84,7 +87,7 @@ fn fetch(
         let w = side.x * side.y / (1.0 + strictness * guide_distance(here, there, pixel_size));
         let count = counts[pixel];
         total += w;
-        let change = gain * (key.light - there.light);
+        let change = gain.rgb * expected_light(key.light - there.light, gain.w);
         found.light += w * (state[pixel] + vec4<f32>(change, 0.0));
         found.frames += w * count.x;
         found.filtered += w * (count.y + mean_rgb(change));
@@ -98,11 +101,11 @@ fn fetch(
     return found;
 }
 
-// Light per unit of what guides expect, as samples around have shown.
-fn light_gain(eye: u32, position: vec2<u32>) -> vec3<f32> {
-    var gain = vec3<f32>(0.0);
+// Light per unit of what guides expect, as samples around have shown; w: the grid's share of that.
+fn light_gain(eye: u32, position: vec2<u32>) -> vec4<f32> {
+    var gain = vec4<f32>(0.0);
     if denoise.sun.w > 0.0 {
-        gain = tile_at(eye, position, 2u).rgb;
+        gain = tile_at(eye, position, 2u);
     }
     return gain;
 }
@@ -143,7 +146,9 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     if row.x >= across || group.y * TILE >= size.y {
         return;
     }
-    var sums = array<vec4<f32>, 4>(vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0));
+    var sums = array<vec4<f32>, 6>(
+        vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0),
+    );
     let end = select(min(TILE * (row.x + 1u), size.x), 0u, row.y >= size.y);
     if end > 0u && denoise.halves.w != 0u {
         let wanted = uncovered(eye, row, end);
@@ -180,34 +185,47 @@ fn reproject(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
     }
     if denoise.sun.w > 0.0 {
         for (var x = TILE * row.x; x < end; x += 1u) {
-            sums[3] += light_slope(eye, vec2<u32>(x, row.y));
+            let slope = light_slope(eye, vec2<u32>(x, row.y));
+            sums[3] += slope.of_source;
+            sums[4] += slope.of_grid;
+            sums[5].x += slope.both;
         }
     }
     let tile = denoise.eyes[eye].frame.z + row.x + across * group.y;
-    for (var k = 0u; k < 4u; k += 1u) {
+    for (var k = 0u; k < 6u; k += 1u) {
         tiles[tile_rows(k) + TILE * tile + local % TILE] = sums[k];
     }
 }
 
-// Sums of least squares: what two pixels' samples differ (rgb) on what their guides expect; every
-// second pixel looks across, the others down.
-fn light_slope(eye: u32, position: vec2<u32>) -> vec4<f32> {
+// Sums of least squares: what two pixels' samples differ (rgb) on what their guides expect of the
+// dominant source and of the grid, and squares of that; both: of the product.
+struct Slope {
+    of_source: vec4<f32>,
+    of_grid: vec4<f32>,
+    both: f32,
+}
+
+// Every second pixel looks across, the others down.
+fn light_slope(eye: u32, position: vec2<u32>) -> Slope {
     let size = denoise.eyes[eye].image.xy;
     let is_across = ((position.x ^ position.y) & 1u) == 0u;
     let there = position + select(vec2<u32>(0u, PAIR), vec2<u32>(PAIR, 0u), is_across);
-    var slope = vec4<f32>(0.0);
+    var slope = Slope(vec4<f32>(0.0), vec4<f32>(0.0), 0.0);
     if all(there < size) {
         let a = denoise.eyes[eye].image.w + position.x + size.x * position.y;
         let b = denoise.eyes[eye].image.w + there.x + size.x * there.y;
         let words_a = keys[half_now() + a];
         let words_b = keys[half_now() + b];
-        let expected = unpack2x16float(words_a.x).y - unpack2x16float(words_b.x).y;
+        let expected = light_parts(words_a) - light_parts(words_b);
         let are_marched = is_marched(words_a.x) && is_marched(words_b.x);
-        if are_marched && expected != 0.0 {
+        if are_marched && any(expected != vec2<f32>(0.0)) {
             let light_a = new_light(eye, a, lights[albedo_at(a)]);
             let light_b = new_light(eye, b, lights[albedo_at(b)]);
             if light_a.a > NOT_FINITE && light_b.a > NOT_FINITE {
-                slope = expected * vec4<f32>(light_a.rgb - light_b.rgb, expected);
+                let seen = light_a.rgb - light_b.rgb;
+                slope.of_source = expected.x * vec4<f32>(seen, expected.x);
+                slope.of_grid = expected.y * vec4<f32>(seen, expected.y);
+                slope.both = expected.x * expected.y;
             }
         }
     }
@@ -243,7 +261,7 @@ fn history_of(eye: u32, position: vec2<u32>, pixel: u32) -> Fetched {
             let strictness = denoise.across.x * clamp(denoise.edges.z * turn, 1.0, MOST_STRICT);
             // The tiles' last word on it; new ones come after this.
             let known = denoise.eyes[eye].history.w * denoise.light.z;
-            let gain = known * light_gain(eye, position);
+            let gain = light_gain(eye, position) * vec4<f32>(vec3<f32>(known), 1.0);
             before = fetch(turned, there, last, denoise.eyes[eye].turn_x.w, strictness, gain);
             before.frames /= 1.0 + TURN_LOSS * turn * turn * before.frames;
         }
@@ -261,7 +279,7 @@ fn add_rows(@builtin(global_invocation_id) invocation: vec3<u32>) {
     if invocation.x >= denoise.counts.z {
         return;
     }
-    for (var k = 0u; k < 4u; k += 1u) {
+    for (var k = 0u; k < 6u; k += 1u) {
         var sum = vec4<f32>(0.0);
         for (var row = 0u; row < TILE; row += 1u) {
             sum += tiles[tile_rows(k) + TILE * invocation.x + row];
@@ -288,8 +306,7 @@ fn judge(@builtin(global_invocation_id) invocation: vec3<u32>) {
     var variance = 0.0;
     var memory = vec4<f32>(0.0);
     var own = vec4<f32>(0.0);
-    var slope = vec4<f32>(0.0);
-    var own_slope = vec4<f32>(0.0);
+    var slope = array<vec4<f32>, 3>(vec4<f32>(0.0), vec4<f32>(0.0), vec4<f32>(0.0));
     // Under another light what was is no measure.
     let slope_factor = memory_factor * (1.0 - denoise.eyes[eye].history.z) * denoise.light.z;
     for (var k = 0; k < 9; k += 1) {
@@ -307,18 +324,21 @@ fn judge(@builtin(global_invocation_id) invocation: vec3<u32>) {
             remembered += memory_factor * tiles[tile_memory(false, 0u) + tile];
         }
         memory += w * remembered;
-        var expected = tiles[tile_sums(3u) + tile];
-        if denoise.eyes[eye].frame.y != HISTORY_NONE {
-            expected += slope_factor * tiles[tile_memory(false, 1u) + tile];
+        for (var part = 0u; part < 3u; part += 1u) {
+            var expected = tiles[tile_sums(3u + part) + tile];
+            if denoise.eyes[eye].frame.y != HISTORY_NONE {
+                expected += slope_factor * tiles[tile_memory(false, 1u + part) + tile];
+            }
+            slope[part] += w * expected;
+            if k == 4 {
+                tiles[tile_memory(true, 1u + part) + first + invocation.x] = expected;
+            }
         }
-        slope += w * expected;
         if k == 4 {
             own = remembered;
-            own_slope = expected;
         }
     }
     tiles[tile_memory(true, 0u) + first + invocation.x] = own;
-    tiles[tile_memory(true, 1u) + first + invocation.x] = own_slope;
 
     // A lag that noise explains is none.
     let lag = mean_rgb(difference.rgb);
@@ -340,9 +360,33 @@ fn judge(@builtin(global_invocation_id) invocation: vec3<u32>) {
     tiles[tile_result(0u) + first + invocation.x] = vec4<f32>(correction, shortening);
     tiles[tile_result(1u) + first + invocation.x] =
         vec4<f32>(weight, clamp(noise, 0.003, 1.0), 0.0, 0.0);
-    let light_gain = max(slope.rgb, vec3<f32>(0.0)) / (slope.w + SLOPE_PRIOR);
+    let share = grid_share(slope[0], slope[1], slope[2].x);
+    let a = 2.0 * (1.0 - share);
+    let b = 2.0 * share;
+    let squares = a * a * slope[0].w + 2.0 * a * b * slope[2].x + b * b * slope[1].w;
+    let light = max(a * slope[0].rgb + b * slope[1].rgb, vec3<f32>(0.0));
+    let light_gain = light / (squares + SLOPE_PRIOR);
     tiles[tile_result(2u) + first + invocation.x] =
-        vec4<f32>(select(vec3<f32>(0.0), light_gain, denoise.sun.w > 0.0), 0.0);
+        select(vec4<f32>(0.0), vec4<f32>(light_gain, share), denoise.sun.w > 0.0);
+}
+
+// What share of the expected light is the grid's: least squares of what samples differ on both parts,
+// drawn toward equal factors.
+fn grid_share(of_source: vec4<f32>, of_grid: vec4<f32>, both: f32) -> f32 {
+    if denoise.light.x == 0.0 || denoise.light.y == 0.0 {
+        return 0.5;
+    }
+    let together = of_source.w + 2.0 * both + of_grid.w + SLOPE_PRIOR;
+    let mixed = both + of_grid.w;
+    let grid = of_grid.w + SHARE_PRIOR;
+    let u = mean_rgb(of_source.rgb + of_grid.rgb);
+    let v = mean_rgb(of_grid.rgb);
+    // Both times their system's determinant, which their ratio doesn't need.
+    let gain = grid * u - mixed * v;
+    let more = together * v - mixed * u;
+    let factors = max(vec2<f32>(gain, gain + more), vec2<f32>(0.0));
+    let sum = factors.x + factors.y;
+    return select(0.5, factors.y / max(sum, 1e-30), sum > 1e-20);
 }
 
 // 3. The new samples join the corrected history.
@@ -440,7 +484,8 @@ fn prefilter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
         let pixel_size = denoise.eyes[eye].turn_x.w;
         let key = unpack_key(words);
         let inverse_noise = 1.0 / tile_at(eye, position, 1u).y;
-        let gain = mean_rgb(light_gain(eye, position));
+        let gains = light_gain(eye, position);
+        let gain = mean_rgb(gains.rgb);
         let low = max(vec2<i32>(position) - 1, vec2<i32>(0));
         let high = min(vec2<i32>(position) + 1, vec2<i32>(size) - 1);
         // Weights with light to the power of 0 and 1, squared weights with 0, 1 and 2.
@@ -453,7 +498,8 @@ fn prefilter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_
                 let bias = guide_distance(key, there, pixel_size);
                 let fits = 1.0 / (1.0 + bias * there.frames * inverse_noise);
                 let w = fits * fits * there.frames;
-                let all = mean_rgb(lights[scratch_at(at)].rgb) + gain * (key.light - there.light);
+                let explained = gain * expected_light(key.light - there.light, gains.w);
+                let all = mean_rgb(lights[scratch_at(at)].rgb) + explained;
                 let light = clamp(all, -BRIGHTEST, BRIGHTEST);
                 sums += w * vec2<f32>(1.0, light);
                 squares += w * w * vec3<f32>(1.0, light, light * light);
@@ -501,7 +547,7 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
         let own_frames = counts[half_now() + pixel].x;
         let centre = max(key.frames, 0.5);
         let gain = light_gain(eye, position);
-        let mean_gain = mean_rgb(gain);
+        let mean_gain = mean_rgb(gain.rgb);
         var light = centre * lights[scratch_at(pixel)];
         var total = centre;
         let low = max(vec2<i32>(position) - RADIUS, vec2<i32>(0));
@@ -524,7 +570,7 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
                 let offset = vec2<f32>(vec2<i32>(x, y) - vec2<i32>(position));
                 let r2 = dot(offset, offset);
                 // What the guide of light explains of the difference.
-                let explained = key.light - there.light;
+                let explained = expected_light(key.light - there.light, gain.w);
                 let bias = select(COVERAGE_BIAS, 0.0, is_covered) + denoise.bias.x * r2
                     + guide_distance(key, there, pixel_size)
                     + light_distance(guide, counts[both_at(at)], mean_gain * explained, tile.y)
@@ -532,7 +578,7 @@ fn gather(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_ind
                 let fits = 1.0 / (1.0 + bias * there.frames * narrower);
                 let w = select(0.0, fits * fits * there.frames, r2 > 0.0);
                 total += w;
-                light += w * (lights[scratch_at(at)] + vec4<f32>(gain * explained, 0.0));
+                light += w * (lights[scratch_at(at)] + vec4<f32>(gain.rgb * explained, 0.0));
             }
         }
         filtered = vec4<f32>(max(light.rgb / total, vec3<f32>(0.0)), light.a / total);
